@@ -1,0 +1,72 @@
+"""What perception hands on: one cleaned frame in the table frame, object by object."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from perception.camera import Camera
+
+
+@dataclass(frozen=True)
+class SupportPlane:
+    """The plane objects stand on. normal . x + offset = 0 in the camera frame, normal towards the camera.
+
+    inlier_ratio: share of the unlabelled measured pixels within `threshold` [m] of the plane.
+    """
+
+    normal: np.ndarray  # (3,)
+    offset: float  # [m]
+    inlier_ratio: float
+    threshold: float  # [m]
+
+
+@dataclass(frozen=True)
+class ObservedObject:
+    """The cleaned visible surface of one instance, in the table frame.
+
+    points: (N, 3) float32 [m]; pixels: (N,) flat image indices of the same points;
+    labelled: pixels that carried the label; dropped: those removed as invalid, flying or outliers.
+    """
+
+    label: int
+    name: str
+    points: np.ndarray
+    pixels: np.ndarray
+    labelled: int
+    dropped: int
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper corner (3,) [m] of the visible points in the table frame."""
+        return self.points.min(0), self.points.max(0)
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """An object that could not be mapped, and why."""
+
+    label: int
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One frame, cleaned, in a frame tied to the support plane (z up, x away from the camera).
+
+    depth: (H, W) float32 [m], NaN where missing or removed; labels: (H, W) uint16 after cleaning.
+    T_table_camera: (4, 4); the table frame's origin lies on the support plane below the objects.
+    objects: in the order their pixels are met in the image, so renumbering labels changes nothing.
+    support: None when no plane was found; then the table frame is the camera frame.
+    """
+
+    camera: Camera
+    depth: np.ndarray
+    labels: np.ndarray
+    T_table_camera: np.ndarray
+    support: SupportPlane | None
+    objects: tuple[ObservedObject, ...]
+    skipped: tuple[Skipped, ...] = ()
+    notes: tuple[str, ...] = field(default=())
