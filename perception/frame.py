@@ -51,7 +51,8 @@ class Frame:
             )
             raise FrameError(
                 f"{self.source}: the median depth is {median:.4g} m, outside {PLAUSIBLE_DEPTH[0]}-"
-                f"{PLAUSIBLE_DEPTH[1]} m: {guess}? Set depth_scale (metres per stored unit; 0.001 for millimetres)"
+                f"{PLAUSIBLE_DEPTH[1]} m: {guess}? Set depth_scale (metres per stored unit; "
+                "0.001 for millimetres)"
             )
         object.__setattr__(self, "depth", depth)
         if self.rgb is not None and (self.rgb.shape != (*shape, 3) or self.rgb.dtype != np.uint8):
@@ -67,11 +68,13 @@ class Frame:
                 )
             if not np.issubdtype(labels.dtype, np.integer) or labels.min() < 0 or labels.max() > 65535:
                 raise FrameError(
-                    f"{self.source}: labels must be integers in 0..65535 (uint16 instance labels), got {labels.dtype}"
+                    f"{self.source}: labels must be integers in 0..65535 (uint16 instance labels), "
+                    f"got {labels.dtype}"
                 )
             if not labels.any():
                 raise FrameError(
-                    f"{self.source}: no labelled pixel (labels are all 0); leave labels out to segment by depth"
+                    f"{self.source}: no labelled pixel (labels are all 0); leave labels out to "
+                    "segment by depth"
                 )
             object.__setattr__(self, "labels", labels.astype(np.uint16))
 

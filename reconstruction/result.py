@@ -1,0 +1,97 @@
+"""What a reconstruction is: one mesh with uncertainty per object, the map behind it, and its own diagnostics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import trimesh
+
+from perception.camera import transform
+from perception.frame import Frame
+from perception.observation import Observation, Skipped
+
+if TYPE_CHECKING:
+    from mapping.contramap import ContraMap
+
+
+@dataclass(frozen=True)
+class ReconstructedObject:
+    """One object's surface with uncertainty, in the world frame.
+
+    mesh: watertight trimesh [m]; uncertainty: (V,) float32 p(uncertain) in [0, 1] at each vertex;
+    class_index: the object's column in the map's probabilities (1-based; 0 is empty space);
+    T_world_object: (4, 4) pose of the object's box: origin at its centre, z along the support normal;
+    extents: (3,) box size [m] along the axes of T_world_object.
+    """
+
+    label: int
+    name: str
+    class_index: int
+    mesh: trimesh.Trimesh
+    uncertainty: np.ndarray
+    T_world_object: np.ndarray
+    extents: np.ndarray
+
+    @property
+    def mean_uncertainty(self) -> float:
+        return float(self.uncertainty.mean())
+
+    @property
+    def watertight(self) -> bool:
+        return bool(self.mesh.is_watertight and self.mesh.is_winding_consistent)
+
+
+@dataclass(frozen=True)
+class Query:
+    """The map's answer at N points.
+
+    label: (N,) int most probable instance label, 0 = empty, -1 = uncertain;
+    occupancy: (N,) P(any object) among the classes other than uncertain; uncertainty: (N,) p(uncertain);
+    gradient: (N, 3) d occupancy / d point [1/m] in the world frame.
+    """
+
+    label: np.ndarray
+    occupancy: np.ndarray
+    uncertainty: np.ndarray
+    gradient: np.ndarray
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """Objects, the fitted map, and what happened on the way.
+
+    map lives in the table frame; T_world_table (4, 4) leads to the world frame of all meshes.
+    samples: (N, 3) float32 [m, table frame] with sample_classes (N,): 0 empty, k object k, last uncertain.
+    timings_ms: stage -> milliseconds. config: everything that was used, as plain dict.
+    """
+
+    frame: Frame
+    observation: Observation
+    objects: tuple[ReconstructedObject, ...]
+    map: ContraMap
+    T_world_table: np.ndarray
+    samples: np.ndarray
+    sample_classes: np.ndarray
+    timings_ms: dict[str, float]
+    skipped: tuple[Skipped, ...] = ()
+    notes: tuple[str, ...] = ()
+    config: dict[str, Any] = field(default_factory=dict)
+    seed: int = 0
+
+    def query(self, points: np.ndarray) -> Query:
+        """What the map says at points (N, 3) [m] in the world frame."""
+        from perception.camera import invert_rigid
+
+        points = np.asarray(points, dtype=np.float32)
+        local = transform(invert_rigid(self.T_world_table), points)
+        probability, occupancy, gradient = self.map.predict_occupancy(local)
+        best = probability.argmax(1)
+        labels = np.array([0, *(o.label for o in self.objects), -1])
+        return Query(
+            label=labels[best],
+            occupancy=occupancy,
+            uncertainty=probability[:, -1],
+            gradient=gradient @ self.T_world_table[:3, :3].T.astype(np.float32),
+        )
