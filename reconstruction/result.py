@@ -44,6 +44,22 @@ class ReconstructedObject:
 
 
 @dataclass(frozen=True)
+class ObjectField:
+    """The map on the lattice around one object, in the table frame.
+
+    Node (i, j, k) lies at origin + spacing * (i, j, k). origin: (3,) [m]; spacing [m];
+    occupancy: (nx, ny, nz) P(this object) among the classes other than uncertain;
+    uncertainty: (nx, ny, nz) p(uncertain).
+    """
+
+    label: int
+    origin: np.ndarray
+    spacing: float
+    occupancy: np.ndarray
+    uncertainty: np.ndarray
+
+
+@dataclass(frozen=True)
 class Query:
     """The map's answer at N points.
 
@@ -65,6 +81,7 @@ class Reconstruction:
     map lives in the table frame; T_world_table (4, 4) leads to the world frame of all meshes.
     samples: (N, 3) float32 [m, table frame] with sample_classes (N,): 0 empty, k object k, last uncertain.
     timings_ms: stage -> milliseconds. config: everything that was used, as plain dict.
+    fields: the lattices the meshes were taken from, one an object.
     """
 
     frame: Frame
@@ -77,6 +94,7 @@ class Reconstruction:
     timings_ms: dict[str, float]
     skipped: tuple[Skipped, ...] = ()
     notes: tuple[str, ...] = ()
+    fields: tuple[ObjectField, ...] = ()
     config: dict[str, Any] = field(default_factory=dict)
     seed: int = 0
 
