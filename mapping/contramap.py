@@ -1,0 +1,201 @@
+"""ContraMap: a kernel softmax map with one more class, "uncertain" (paper, Section III).
+
+Points in R^d with class labels, plus noise samples labelled "uncertain", are lifted to Gaussian features
+around hinge points; one linear softmax on these features answers structure and uncertainty anywhere.
+This module knows points and classes; it knows nothing of cameras, images, objects or files.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from mapping.errors import ConfigError, DataError
+from mapping.kernels import (
+    FIT_CUTOFF,
+    PREDICT_CUTOFF,
+    blocks,
+    dense_features,
+    lattice_logits,
+    sparse_features,
+)
+from mapping.softmax import FitConfig, FitReport, fit_softmax
+
+
+@dataclass(frozen=True)
+class MapConfig:
+    """The model: kernel width, penalty, and what it answers where nothing was seen."""
+
+    gamma: float = 1000.0
+    """Kernel width: phi = exp(-gamma d^2), in 1/m^2 for points in metres."""
+    hinge_spacing: float = 0.05
+    """Spacing of the default hinge grid [m], used when fit() is given no hinge points."""
+    l2: float = 1e-6
+    """Weight of the squared norm of W beside the mean cross-entropy."""
+    far_uncertainty: float | None = 0.95
+    """p(uncertain) out of reach of every hinge point; None gives every class the same share there."""
+    fit: FitConfig = field(default_factory=FitConfig)
+    """How the loss is minimised."""
+    device: str = "auto"
+    """cpu, cuda, or auto (cuda when there is one)."""
+
+
+class ContraMap:
+    """Softmax over W^T phi(x) with classes 0..C-1 and the uncertain class C, always the last column."""
+
+    def __init__(self, config: MapConfig | None = None):
+        self.config = config or MapConfig()
+        if not self.config.gamma > 0:
+            raise ConfigError(f"gamma must be > 0, got {self.config.gamma}")
+        if self.config.far_uncertainty is not None and not 0 < self.config.far_uncertainty < 1:
+            raise ConfigError(f"far_uncertainty must lie between 0 and 1, got {self.config.far_uncertainty}")
+        self.device = _device(self.config.device)
+        self.report = FitReport()
+        self.hinges = np.empty((0, 0), np.float32)
+        self.gamma = np.empty(0, np.float32)
+        self.W = torch.empty(0, 0)
+        self.offset = torch.empty(0)
+
+    @property
+    def class_count(self) -> int:
+        """C + 1, the uncertain class included."""
+        return len(self.offset)
+
+    def fit(
+        self,
+        X: np.ndarray,
+        y: np.ndarray,
+        hinges: np.ndarray | None = None,
+        gamma: np.ndarray | float | None = None,
+        weights: np.ndarray | None = None,
+        classes: int | None = None,
+    ) -> ContraMap:
+        """Fit the weights (paper, Section III-B).
+
+        X: (N, d) points; y: (N,) int classes, the uncertain class being the largest, or (N, C+1) float
+        distributions; hinges: (H, d), default a grid of hinge_spacing around the data; gamma: scalar or
+        (H,), default config.gamma; weights: (N,) > 0; classes: C + 1 when y may lack the last class.
+        Raises DataError for wrong shapes, NaN or labels out of range.
+        """
+        X, y = _points(X), np.asarray(y)
+        soft = y.ndim == 2
+        if len(y) != len(X) or y.ndim not in (1, 2):
+            raise DataError(
+                f"y must be (N,) classes or (N, C+1) distributions for {len(X)} points, got {y.shape}"
+            )
+        count = y.shape[1] if soft else int(classes or y.max() + 1)
+        if not soft and (y.min() < 0 or y.max() >= count):
+            raise DataError(f"y must lie in 0..{count - 1}, got {y.min()}..{y.max()}")
+        weights = np.ones(len(X), np.float32) if weights is None else np.asarray(weights, np.float32)
+        if weights.shape != (len(X),) or not (weights > 0).all():
+            raise DataError(f"weights must be {len(X)} numbers > 0, got shape {weights.shape}")
+        self.hinges = _grid_around(X, self.config.hinge_spacing) if hinges is None else _points(hinges)
+        if self.hinges.shape[1] != X.shape[1]:
+            raise DataError(f"hinge points have {self.hinges.shape[1]} coordinates, points have {X.shape[1]}")
+        width = self.config.gamma if gamma is None else gamma
+        self.gamma = np.broadcast_to(np.asarray(width, np.float32), len(self.hinges)).copy()
+        self.offset = self._offset(count)
+        features = sparse_features(X, self.hinges, self.gamma, FIT_CUTOFF, self.device)
+        order = features.order.cpu().numpy()
+        targets = torch.from_numpy(y[order].astype(np.float32 if soft else np.int64)).to(self.device)
+        self.W, self.report = fit_softmax(
+            features,
+            targets,
+            torch.from_numpy(weights[order]).to(self.device),
+            self.offset,
+            len(self.hinges),
+            self.config.l2,
+            self.config.fit,
+        )
+        return self
+
+    def predict_proba(self, X: np.ndarray) -> np.ndarray:
+        """Class probabilities (N, C+1) float32 at points (N, d); the uncertain class is last."""
+        return torch.softmax(self.logits(X), dim=1).cpu().numpy()
+
+    def logits(self, X: np.ndarray) -> torch.Tensor:
+        """Logits (N, C+1) at points (N, d)."""
+        X = _points(X, dimensions=self.hinges.shape[1])
+        out = self.offset.repeat(len(X), 1)
+        if len(X) == 0:
+            return out
+        X_t, hinges, gamma = self._tensors(X, self.hinges, self.gamma)
+        for rows, near in blocks(X, self.hinges, self.gamma, PREDICT_CUTOFF):
+            rows_t, near_t = self._tensors(rows, near)
+            out[rows_t] += dense_features(X_t[rows_t], hinges[near_t], gamma[near_t]) @ self.W[near_t]
+        return out
+
+    def lattice_logits(self, axes: tuple[np.ndarray, ...]) -> torch.Tensor:
+        """Logits (*lattice, C+1) on the regular lattice spanned by d coordinate arrays."""
+        return lattice_logits(axes, self.hinges, self.gamma, self.W).add_(self.offset)
+
+    def predict_lattice(self, axes: tuple[np.ndarray, ...]) -> np.ndarray:
+        """Class probabilities (*lattice, C+1) float32 on a regular lattice; same values as predict_proba."""
+        return torch.softmax(self.lattice_logits(axes), dim=-1).cpu().numpy()
+
+    def predict_occupancy(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Probabilities (N, C+1), occupancy (N,) and its gradient (N, d) at points (N, d).
+
+        Occupancy is P(class != 0) among the classes other than uncertain; class 0 is empty space.
+        """
+        X = _points(X, dimensions=self.hinges.shape[1])
+        logits, slopes = self.logits(X), torch.zeros(len(X), X.shape[1], self.class_count, device=self.device)
+        X_t, hinges, gamma = self._tensors(X, self.hinges, self.gamma)
+        for rows, near in blocks(X, self.hinges, self.gamma, PREDICT_CUTOFF):
+            rows_t, near_t = self._tensors(rows, near)
+            phi = dense_features(X_t[rows_t], hinges[near_t], gamma[near_t]) * (-2 * gamma[near_t])
+            for axis in range(X.shape[1]):
+                difference = X_t[rows_t, None, axis] - hinges[None, near_t, axis]
+                slopes[rows_t, axis] = (phi * difference) @ self.W[near_t]
+        structure = torch.softmax(logits[:, :-1], dim=1)
+        empty = structure[:, 0]
+        # d empty = empty * (d logit_0 - sum_k p_k d logit_k)
+        mean_slope = (slopes[:, :, :-1] * structure[:, None, :]).sum(2)
+        gradient = -empty[:, None] * (slopes[:, :, 0] - mean_slope)
+        probability = torch.softmax(logits, dim=1)
+        return probability.cpu().numpy(), (1 - empty).cpu().numpy(), gradient.cpu().numpy()
+
+    def save(self, path: str | Path) -> None:
+        """Write the map as one .npz file (see model_io)."""
+        from mapping.model_io import save_map
+
+        save_map(self, Path(path))
+
+    def _offset(self, count: int) -> torch.Tensor:
+        # Kernels vanish far away and leave softmax(offset): fixed, not fitted, so that a query out of reach
+        # of every hinge point answers "uncertain" however the training data were balanced.
+        offset = torch.zeros(count, device=self.device)
+        share = self.config.far_uncertainty
+        if share is not None and count > 1:
+            offset[-1] = float(np.log(share / (1 - share) * (count - 1)))
+        return offset
+
+    def _tensors(self, *arrays: np.ndarray) -> tuple[torch.Tensor, ...]:
+        return tuple(torch.from_numpy(a).to(self.device) for a in arrays)
+
+
+def _device(name: str) -> torch.device:
+    if name not in ("auto", "cpu", "cuda"):
+        raise ConfigError(f"device must be auto, cpu or cuda, got {name!r}")
+    available = name != "cpu" and torch.cuda.is_available()
+    if name == "cuda" and not available:
+        raise ConfigError("device cuda was asked for, but torch finds no CUDA device; use auto or cpu")
+    return torch.device("cuda" if available else "cpu")
+
+
+def _points(X: np.ndarray, dimensions: int | None = None) -> np.ndarray:
+    X = np.ascontiguousarray(X, dtype=np.float32)
+    if X.ndim != 2 or (dimensions is not None and X.shape[1] != dimensions):
+        wanted = f"(N, {dimensions})" if dimensions else "(N, d)"
+        raise DataError(f"points must have shape {wanted}, got {X.shape}")
+    if not np.isfinite(X).all():
+        raise DataError("points hold NaN or infinite values")
+    return X
+
+
+def _grid_around(X: np.ndarray, spacing: float) -> np.ndarray:
+    axes = [np.arange(low, high + spacing, spacing) for low, high in zip(X.min(0), X.max(0))]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, X.shape[1]).astype(np.float32)

@@ -1,0 +1,148 @@
+"""Gaussian kernel features phi_h(x) = exp(-gamma_h ||x - h||^2), dense, truncated and on lattices.
+
+Knows points, hinge points and widths; knows nothing of classes, weights' meaning or fitting.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+FIT_CUTOFF = 1e-3
+"""Features below this are dropped while fitting: 20-50 of thousands remain a row."""
+PREDICT_CUTOFF = 1e-7
+"""Features below this are dropped while predicting: below float32 rounding of the logits."""
+LATTICE_BLOCK = 24
+"""Nodes a side of the blocks a lattice is evaluated in; small blocks see few hinge points."""
+
+
+@dataclass(frozen=True)
+class SparseFeatures:
+    """Rows of truncated features in CSR form and, for gradients, the transpose.
+
+    order: (N,) the row's index in the caller's array (rows are sorted by block for locality).
+    """
+
+    order: torch.Tensor
+    offsets: torch.Tensor  # (N,) start of each row
+    columns: torch.Tensor  # (nnz,) hinge index
+    values: torch.Tensor  # (nnz,) float32
+    transposed_offsets: torch.Tensor  # (H,)
+    transposed_columns: torch.Tensor  # (nnz,) row index
+    transposed_values: torch.Tensor  # (nnz,)
+
+    def times(self, W: torch.Tensor) -> torch.Tensor:
+        """Phi W: (H, C) -> (N, C)."""
+        return _bag(W, self.columns, self.offsets, self.values)
+
+    def transpose_times(self, R: torch.Tensor) -> torch.Tensor:
+        """Phi^T R: (N, C) -> (H, C)."""
+        return _bag(R, self.transposed_columns, self.transposed_offsets, self.transposed_values)
+
+    def squared_column_sums(self, row_weights: torch.Tensor) -> torch.Tensor:
+        """sum_i w_i phi_ih^2 for each hinge: (N,) -> (H,)."""
+        squared = self.transposed_values.square()
+        return _bag(row_weights[:, None], self.transposed_columns, self.transposed_offsets, squared)[:, 0]
+
+
+def _bag(
+    table: torch.Tensor, columns: torch.Tensor, offsets: torch.Tensor, values: torch.Tensor
+) -> torch.Tensor:
+    # embedding_bag is the fastest sparse-times-dense product of torch on a CPU and runs on CUDA as well.
+    return torch.nn.functional.embedding_bag(
+        columns, table, offsets, mode="sum", per_sample_weights=values, include_last_offset=False
+    )
+
+
+def dense_features(X: torch.Tensor, hinges: torch.Tensor, gamma: torch.Tensor) -> torch.Tensor:
+    """exp(-gamma_h ||x - h||^2) for X (N, d), hinges (H, d), gamma (H,) -> (N, H)."""
+    # Differences rather than the expanded square: exact for points far from the origin.
+    squared = (X[:, None, 0] - hinges[None, :, 0]).square_()
+    for axis in range(1, X.shape[1]):
+        squared.add_((X[:, None, axis] - hinges[None, :, axis]).square_())
+    return squared.mul_(-gamma).exp_()
+
+
+def reach(gamma: np.ndarray, cutoff: float) -> np.ndarray:
+    """Distance beyond which a feature is below `cutoff`."""
+    return np.sqrt(-np.log(cutoff) / gamma)
+
+
+def blocks(
+    X: np.ndarray, hinges: np.ndarray, gamma: np.ndarray, cutoff: float
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Split points into compact groups: yields (indices into X, indices of the hinges in reach)."""
+    radius = reach(gamma, cutoff).astype(np.float32)
+    size = 1.5 * float(radius.max())
+    cell = np.floor((X - X.min(0)) / size).astype(np.int64)
+    key = np.ravel_multi_index(tuple(cell.T), tuple(cell.max(0) + 1))
+    order = np.argsort(key, kind="stable")
+    starts = np.flatnonzero(np.diff(key[order], prepend=-1))
+    for start, end in zip(starts, np.append(starts[1:], len(X))):
+        rows = order[start:end]
+        low, high = X[rows].min(0), X[rows].max(0)
+        gap = np.maximum(np.maximum(low - hinges, hinges - high), 0)
+        yield rows, np.flatnonzero((gap**2).sum(1) < radius**2)
+
+
+def sparse_features(
+    X: np.ndarray, hinges: np.ndarray, gamma: np.ndarray, cutoff: float, device: torch.device
+) -> SparseFeatures:
+    """Truncated features of X (N, d); each row keeps the hinges whose feature exceeds `cutoff`."""
+    X_t, hinges_t = torch.from_numpy(X), torch.from_numpy(hinges)
+    gamma_t = torch.from_numpy(gamma)
+    rows_of, lengths, columns, values = [], [], [], []
+    for rows, near in blocks(X, hinges, gamma, cutoff):
+        rows_t, near_t = torch.from_numpy(rows), torch.from_numpy(near)
+        phi = dense_features(X_t[rows_t], hinges_t[near_t], gamma_t[near_t])
+        kept = phi > cutoff
+        rows_of.append(rows_t)
+        lengths.append(kept.sum(1))
+        columns.append(near_t[kept.nonzero()[:, 1]])
+        values.append(phi[kept])
+    order, column, value = torch.cat(rows_of), torch.cat(columns).int(), torch.cat(values)
+    length = torch.cat(lengths)
+    offsets = (length.cumsum(0) - length).int()
+    # A stable sort by column transposes; rows stay in order inside each column.
+    by_column = torch.sort(column, stable=True).indices
+    row = torch.repeat_interleave(torch.arange(len(length), dtype=torch.int32), length)
+    counts = torch.bincount(column, minlength=len(hinges))
+    transposed_offsets = (counts.cumsum(0) - counts).int()
+    tensors = (order, offsets, column, value, transposed_offsets, row[by_column], value[by_column])
+    return SparseFeatures(*(t.to(device) for t in tensors))
+
+
+def lattice_logits(
+    axes: tuple[np.ndarray, ...], hinges: np.ndarray, gamma: np.ndarray, W: torch.Tensor
+) -> torch.Tensor:
+    """Phi W at every node of a regular lattice; axes: d arrays of coordinates -> (*lattice, C).
+
+    A Gaussian is a product over axes, so a block of nodes costs two small tables of exponentials and one
+    matrix product instead of one exponential a node and hinge.
+    """
+    shape = tuple(len(axis) for axis in axes)
+    radius = reach(gamma, PREDICT_CUTOFF)
+    out = torch.zeros(*shape, W.shape[1], dtype=W.dtype, device=W.device)
+    for corner in np.ndindex(*(-(-n // LATTICE_BLOCK) for n in shape)):
+        window = tuple(slice(c * LATTICE_BLOCK, (c + 1) * LATTICE_BLOCK) for c in corner)
+        local = [np.asarray(axis[w], dtype=np.float32) for axis, w in zip(axes, window)]
+        low, high = np.array([a[0] for a in local]), np.array([a[-1] for a in local])
+        gap = np.maximum(np.maximum(low - hinges, hinges - high), 0)
+        near = np.flatnonzero((gap**2).sum(1) < radius**2)
+        if len(near) == 0:
+            continue
+        tables = [
+            torch.from_numpy(np.exp(-gamma[near] * (a[:, None] - hinges[near, i]) ** 2)).to(W)  # (n, h)
+            for i, a in enumerate(local)
+        ]
+        left = tables[0]
+        for table in tables[1:-1]:
+            left = (left[:, None, :] * table[None, :, :]).reshape(-1, len(near))
+        weights = W[torch.from_numpy(near).to(W.device)]
+        right = tables[-1].T[:, :, None] * weights[:, None, :]  # (h, n_last, C)
+        block = left @ right.reshape(len(near), -1)
+        out[window] = block.reshape(*(len(a) for a in local), W.shape[1])
+    return out
