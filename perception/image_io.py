@@ -1,0 +1,104 @@
+"""Single images and arrays from and to files, checked for type. Pillow refuses truncated files."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from mapping.errors import FrameError
+
+
+def read_rgb(path: Path) -> np.ndarray:
+    """Colour image (H, W, 3) uint8; grey images are spread to three channels, alpha is dropped."""
+    image, mode = _read_image(path, "an 8-bit RGB image")
+    if image.dtype != np.uint8 or mode == "P":
+        raise FrameError(f"{path}: must be an 8-bit RGB image, got mode {mode} ({image.dtype})")
+    if image.ndim == 2:
+        return np.repeat(image[..., None], 3, axis=2)
+    if image.shape[2] == 2:  # grey with alpha
+        return np.repeat(image[..., :1], 3, axis=2)
+    return np.ascontiguousarray(image[..., :3])
+
+
+def read_depth_image(path: Path) -> np.ndarray:
+    """Depth image (H, W) uint16 in sensor units."""
+    image, mode = _read_image(path, "a 16-bit depth image")
+    if image.ndim != 2:
+        raise FrameError(
+            f"{path}: must have one channel, got {image.shape[2]} (mode {mode}); this looks like a coloured "
+            "picture of depth: save the raw 16-bit depth"
+        )
+    if mode != "P" and image.dtype in (np.dtype(np.uint16), np.dtype(np.int32)):
+        if image.min() < 0 or image.max() > 65535:
+            raise FrameError(f"{path}: depth units must lie in 0..65535; save a 16-bit image or depth.npy")
+        return image.astype(np.uint16)
+    raise FrameError(
+        f"{path}: must be a 16-bit image, got mode {mode} ({image.dtype}), which is too coarse for depth; "
+        "save uint16 or float metres as depth.npy"
+    )
+
+
+def read_labels(path: Path) -> np.ndarray:
+    """Instance labels (H, W) uint16 from an 8-bit or 16-bit single-channel image, or an integer .npy."""
+    image = read_array(path) if path.suffix == ".npy" else _read_image(path, "a label image")[0]
+    if image.ndim != 2:
+        raise FrameError(
+            f"{path}: labels must have one channel with whole numbers, got shape {image.shape}; "
+            "a coloured picture of labels cannot be used"
+        )
+    if image.dtype == bool:
+        return image.astype(np.uint16)
+    if not np.issubdtype(image.dtype, np.integer):
+        raise FrameError(f"{path}: labels must be whole numbers (uint8 or uint16), got {image.dtype}")
+    if image.size and (image.min() < 0 or image.max() > 65535):
+        raise FrameError(f"{path}: labels must lie in 0..65535, got {image.min()}..{image.max()}")
+    return image.astype(np.uint16)
+
+
+def read_array(path: Path) -> np.ndarray:
+    """The array of a .npy file; pickled objects are refused."""
+    try:
+        return np.asarray(np.load(path, allow_pickle=False))
+    except FileNotFoundError as error:
+        raise FrameError(f"{path}: no such file") from error
+    except (ValueError, OSError, EOFError) as error:
+        if "allow_pickle" in str(error) or "pickled" in str(error):
+            raise FrameError(
+                f"{path}: refused, it holds pickled objects, which can run code; save a plain array"
+            ) from error
+        raise FrameError(f"{path}: not a readable .npy file; save it again with numpy.save") from error
+
+
+def write_png(path: Path, image: np.ndarray) -> None:
+    """Write an image under a temporary name and rename it, so that no half-written file is left."""
+    from PIL import Image
+
+    temporary = path.with_name(path.name + ".part")
+    try:
+        Image.fromarray(image).save(temporary, format="PNG", compress_level=3)
+        os.replace(temporary, path)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def _read_image(path: Path, wanted: str) -> tuple[np.ndarray, str]:
+    """Pixels and Pillow's mode of an image file."""
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as image:
+            image.load()
+            return np.array(image), image.mode
+    except FileNotFoundError as error:
+        raise FrameError(f"{path}: no such file; it must be {wanted}") from error
+    except IsADirectoryError as error:
+        raise FrameError(f"{path}: is a folder, not {wanted}") from error
+    except UnidentifiedImageError as error:
+        raise FrameError(f"{path}: not an image; it must be {wanted}") from error
+    # Pillow reports broken PNG chunks as SyntaxError and absurd sizes as DecompressionBombError.
+    except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise FrameError(f"{path}: damaged or cut short ({reason}); copy or save it again") from error

@@ -1,0 +1,158 @@
+"""The plane that objects stand on: candidates by RANSAC, the choice by what rests on them, least squares.
+
+Walls, floors and the tops of boxes are planes too, and often larger than the visible table. So the
+largest plane is not taken, but the one close below the objects that they all stand in front of.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from perception.config import PerceptionConfig
+from perception.observation import SupportPlane
+
+REST_LENGTH = 0.05
+"""How fast a plane loses credit with the gap between it and the objects' lowest points [m]."""
+FIT_POINTS = 20_000
+"""Points used by the least-squares refinement and the inlier ratio."""
+MINIMUM_SPREAD = 0.015
+"""Standard deviation of the inliers along the plane's narrow direction below which it is a sliver [m]."""
+MINIMUM_CREDIT = 0.02
+"""Least credit (share of points x how well the objects rest on it) of a convincing plane."""
+
+
+def find_support_plane(
+    points: np.ndarray, labels: np.ndarray | None, config: PerceptionConfig, rng: np.random.Generator
+) -> SupportPlane | None:
+    """The support plane in the camera frame, or None when no plane is convincing.
+
+    points: (H, W, 3) [m], NaN where missing. labels: (H, W) instance labels or None.
+    """
+    flat = points.reshape(-1, 3)
+    measured = np.isfinite(flat[:, 2])
+    if labels is None:
+        background, objects = np.flatnonzero(measured), np.empty(0, np.int64)
+    else:
+        labelled = labels.reshape(-1) > 0
+        background, objects = np.flatnonzero(measured & ~labelled), np.flatnonzero(measured & labelled)
+        if background.size < config.plane_points // 4:  # the masks leave next to nothing of the table
+            background = np.flatnonzero(measured)
+    if background.size < config.minimum_pixels:
+        return None
+    around = flat[_thin(background, FIT_POINTS, rng)]
+    groups = _object_points(flat, labels, objects, rng)
+    near = _near_objects(around, groups, config.plane_reach)
+    if len(near) < config.plane_points // 4:
+        near = around
+    plane = _best_plane(near, groups, config, rng)
+    if plane is None:
+        return None
+    normal, offset = plane
+    ratio = float((np.abs(around @ normal + offset) < config.plane_threshold).mean())
+    return SupportPlane(normal.astype(np.float64), float(offset), ratio, config.plane_threshold)
+
+
+def _thin(indices: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """At most `count` of the indices, spread evenly with a random start, in order."""
+    if indices.size <= count:
+        return indices
+    step = indices.size / count
+    return indices[((np.arange(count) + rng.random()) * step).astype(np.int64)]
+
+
+def _object_points(
+    flat: np.ndarray, labels: np.ndarray | None, objects: np.ndarray, rng: np.random.Generator
+) -> list[np.ndarray]:
+    """A few hundred points of each labelled object, in the order objects are met in the image."""
+    if labels is None or objects.size == 0:
+        return []
+    objects = _thin(objects, FIT_POINTS, rng)
+    of = labels.reshape(-1)[objects]
+    found, first = np.unique(of, return_index=True)
+    # Image order, not label order: renumbering labels must not change a single bit of the result.
+    return [flat[objects[of == label]] for label in found[np.argsort(first)]]
+
+
+def _near_objects(around: np.ndarray, groups: list[np.ndarray], reach: float) -> np.ndarray:
+    """Points within `reach` [m] of the box around each object's middle 80 % (masks bleed)."""
+    if not groups:
+        return around
+    near = np.zeros(len(around), bool)
+    for group in groups:
+        low, high = np.quantile(group, [0.1, 0.9], axis=0)
+        near |= ((around > low - reach) & (around < high + reach)).all(1)
+    return around[near]
+
+
+def _best_plane(
+    near: np.ndarray, groups: list[np.ndarray], config: PerceptionConfig, rng: np.random.Generator
+) -> tuple[np.ndarray, float] | None:
+    """Peel planes off one by one and keep the one with the most credit; refined and facing the camera."""
+    rest = near[_thin(np.arange(len(near)), config.plane_points, rng)]
+    total = len(rest)
+    best: tuple[float, np.ndarray, float] | None = None
+    for _ in range(config.plane_candidates):
+        if len(rest) < max(10, config.plane_minimum_share * total):
+            break
+        normal, offset = _ransac(rest, config, rng)
+        inlier = np.abs(rest @ normal + offset) < config.plane_threshold
+        share = inlier.sum() / total
+        if share < config.plane_minimum_share:
+            break
+        refined = _refine(near, normal, offset, config.plane_threshold)
+        rest = rest[~inlier]
+        if refined is None:
+            continue
+        normal, offset = refined
+        credit = share * _resting(groups, normal, offset, config) * _uprightness(normal)
+        if credit > MINIMUM_CREDIT and (best is None or credit > best[0]):
+            best = (credit, normal, offset)
+    return None if best is None else (best[1], best[2])
+
+
+def _ransac(
+    points: np.ndarray, config: PerceptionConfig, rng: np.random.Generator
+) -> tuple[np.ndarray, float]:
+    import open3d as o3d
+
+    o3d.utility.random.seed(int(rng.integers(2**31)))
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
+    # probability=1 switches off Open3D's early stop, which depends on how its threads race.
+    model, _ = cloud.segment_plane(config.plane_threshold, 3, config.plane_iterations, 1.0)
+    return np.asarray(model[:3]), float(model[3])
+
+
+def _refine(
+    points: np.ndarray, normal: np.ndarray, offset: float, threshold: float
+) -> tuple[np.ndarray, float] | None:
+    """Least squares on the inliers, tightened once; None when they form a sliver that fixes no plane."""
+    for limit in (threshold, 0.6 * threshold):
+        inliers = points[np.abs(points @ normal + offset) < limit].astype(np.float64)
+        if len(inliers) < 3:
+            return None
+        centre = inliers.mean(0)
+        spread, axes = np.linalg.eigh(np.cov((inliers - centre).T))
+        if spread[1] < MINIMUM_SPREAD**2:
+            return None
+        normal = axes[:, 0]
+        offset = -float(normal @ centre)
+    # The camera is at the origin, on the positive side of the plane it sees.
+    return (normal, offset) if offset > 0 else (-normal, -offset)
+
+
+def _resting(groups: list[np.ndarray], normal: np.ndarray, offset: float, config: PerceptionConfig) -> float:
+    """How well the objects stand on the plane, in 0..1: above it, and with their lowest points near it."""
+    if not groups:
+        return 1.0
+    scores = []
+    for group in groups:
+        height = group @ normal + offset
+        above = float((height > -config.plane_threshold).mean())
+        gap = max(0.0, float(np.quantile(height, 0.05)))
+        scores.append(max(0.0, 2 * above - 1) * np.exp(-((gap / REST_LENGTH) ** 2)))
+    return float(np.mean(scores))
+
+
+def _uprightness(normal: np.ndarray) -> float:
+    """A mild preference for planes that face the image's top: tables rather than walls behind them."""
+    return 0.5 + 0.5 * max(0.0, -float(normal[1]))
