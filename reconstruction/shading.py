@@ -37,7 +37,7 @@ class ShadingConfig:
     shadow_blur: float = 0.012
     """Softness of the ground's shadows as a share of the picture's height."""
     crease_degrees: float = 35.0
-    """Faces that bend more than this from their vertex normals are drawn flat, so that boxes keep their edges."""
+    """Faces that bend more than this from their vertex normals are drawn flat, so that edges stay sharp."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,10 @@ class View:
 def look_at(
     eye: np.ndarray, target: np.ndarray, up: np.ndarray, size: tuple[int, int], field_of_view: float
 ) -> Camera:
-    """A camera at `eye` that sees `target` in its middle; size (width, height) [px], vertical angle [degrees]."""
+    """A camera at `eye` that sees `target` in its middle.
+
+    size: (width, height) [px]; field_of_view: vertical angle [degrees].
+    """
     forward = np.asarray(target, float) - eye
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, up)
@@ -143,10 +146,11 @@ def cast(
     offsets = np.concatenate([[0], np.cumsum(sizes)])
     for mesh in meshes:
         scene.add_triangles(
-            np.ascontiguousarray(mesh.vertices, np.float32), np.ascontiguousarray(mesh.faces, np.uint32)
+            o3d.core.Tensor.from_numpy(np.array(mesh.vertices, np.float32)),
+            o3d.core.Tensor.from_numpy(np.array(mesh.faces, np.uint32)),
         )
     rays = np.concatenate([np.broadcast_to(eye, directions.shape), directions], axis=-1)
-    answer = scene.cast_rays(o3d.core.Tensor(rays))
+    answer = scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
     distance = answer["t_hit"].numpy()
     hit = np.isfinite(distance)
     mesh_index = np.where(hit, answer["geometry_ids"].numpy().astype(np.int64), -1)
@@ -162,7 +166,9 @@ def cast(
         vertices[hit] = faces[face]
         uv = answer["primitive_uvs"].numpy()[hit]
         weights[hit] = np.stack([1 - uv[:, 0] - uv[:, 1], uv[:, 0], uv[:, 1]], axis=1)
-        normal = _normals(meshes, vertices[hit], weights[hit], answer["primitive_normals"].numpy()[hit], config)
+        normal = _normals(
+            meshes, vertices[hit], weights[hit], answer["primitive_normals"].numpy()[hit], config
+        )
         toward_eye = -np.einsum("mk,mk->m", normal, directions[hit])
         normal *= np.where(toward_eye < 0, -1, 1)[:, None]
         points = eye + directions[hit] * distance[hit][:, None]
@@ -211,7 +217,7 @@ def _blocked(scene: Any, points: np.ndarray, lamp: np.ndarray) -> np.ndarray:
     import open3d as o3d
 
     rays = np.concatenate([points, np.broadcast_to(lamp, points.shape)], axis=1).astype(np.float32)
-    return scene.test_occlusions(o3d.core.Tensor(rays)).numpy()
+    return scene.test_occlusions(o3d.core.Tensor.from_numpy(rays)).numpy()
 
 
 def _ground_light(

@@ -25,10 +25,10 @@ class SliceConfig:
 
 @dataclass(frozen=True)
 class UncertaintySlice:
-    """p(uncertain) on a horizontal lattice; the top row lies farthest from the camera, columns run to its right.
+    """p(uncertain) on a horizontal lattice, the top row farthest from the camera, columns to its right.
 
-    values: (rows, columns) in [0, 1]; origin: (3,) world position [m] of value (0, 0); down, right: (3,) world
-    steps [m] between rows and columns; height: above the support plane [m], or along `up` without one.
+    values: (rows, columns) in [0, 1]; origin: (3,) world position [m] of value (0, 0); down, right: (3,)
+    world steps [m] between rows and columns; height: above the support plane [m], or along up without one.
     """
 
     values: np.ndarray

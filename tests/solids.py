@@ -26,7 +26,7 @@ def camera_above_table(width: int = 320, height: int = 240) -> Camera:
 
 
 def solids() -> dict[int, trimesh.Trimesh]:
-    """label -> true mesh in the world frame [m]: a box, a ball and a can behind the box, on the table z = 0."""
+    """label -> true mesh in the world frame [m]: a box, a ball and a can behind the box, on z = 0."""
     box = trimesh.creation.box((0.07, 0.12, 0.10))
     box.apply_transform(trimesh.transformations.rotation_matrix(0.4, [0, 0, 1]))
     box.apply_translation([-0.04, 0.09, 0.05])

@@ -1,0 +1,205 @@
+"""The result folder: what `contramap map` leaves on disk, written as a whole or not at all.
+
+scene.json                        frame, unit, objects, what was skipped, timings, configuration, versions
+objects/<label>_<name>/mesh.ply   [m, world frame], p(uncertain) at each vertex, and its colours
+objects/<label>_<name>/mesh.obj   the same surface for planners
+map.npz                           the fitted map (mapping.load_map)
+field.npz                         occupancy and p(uncertain) on each object's lattice
+overview.png                      one picture of all of it
+recording.rrd                     when asked for
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+import numpy as np
+import trimesh
+
+from mapping.errors import ConfigError, DataError
+from reconstruction.atomic import advice
+from reconstruction.mesh_files import decode_ply, encode_obj, encode_ply
+from reconstruction.overview import draw_overview
+from reconstruction.result import Reconstruction
+from reconstruction.scene_json import FORMAT, describe, object_folder
+
+RECORDING = "recording.rrd"
+
+
+@dataclass(frozen=True)
+class StoredObject:
+    """One object read back: mesh [m, world frame], uncertainty (V,), pose and extents as in scene.json."""
+
+    label: int
+    name: str
+    mesh: trimesh.Trimesh
+    uncertainty: np.ndarray
+    T_world_object: np.ndarray
+    extents: np.ndarray
+    folder: Path
+
+
+@dataclass(frozen=True)
+class StoredResult:
+    """A result folder read back; scene is the whole of scene.json."""
+
+    folder: Path
+    scene: dict[str, Any]
+    objects: tuple[StoredObject, ...]
+
+
+def save_reconstruction(
+    reconstruction: Reconstruction,
+    folder: Path,
+    overwrite: bool = False,
+    truth: Mapping[int, trimesh.Trimesh] | None = None,
+    recording: bool = False,
+) -> Path:
+    """Write the result folder and return its path.
+
+    Everything is built in a hidden folder beside it and renamed when complete; errors leave what was there.
+    truth: label -> true mesh in the world frame, for the overview and the recording.
+    Raises ConfigError when the folder holds something already (see check_output), DataError when
+    writing fails.
+    """
+    folder = check_output(folder, overwrite)
+    partial = folder.with_name(f".{folder.name[:80]}.{uuid4().hex[:12]}.part")
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        partial.mkdir()
+        _write(reconstruction, partial, truth, recording)
+        _put_in_place(partial, folder)
+    except OSError as error:
+        raise DataError(
+            f"cannot write the result folder {folder}: {error.strerror or error}{advice(error)}"
+        ) from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return folder
+
+
+def check_output(folder: Path, overwrite: bool = False) -> Path:
+    """The absolute output folder, if a result may be written there; call it before long work.
+
+    Raises ConfigError when the folder is not empty and overwrite is False, and, even with overwrite,
+    when what is there is not a result folder.
+    """
+    folder = Path(folder).resolve()
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError(f"{folder} is a file; the result needs a folder")
+    if not folder.exists() or not any(folder.iterdir()):
+        return folder
+    if not overwrite:
+        raise ConfigError(f"output folder {folder} is not empty; choose another or pass --overwrite")
+    if not _is_result(folder):
+        raise ConfigError(
+            f"{folder} is not empty and not a result folder (no scene.json of contramap), so it is not "
+            "overwritten; choose another folder or empty it"
+        )
+    return folder
+
+
+def load_result(folder: Path) -> StoredResult:
+    """Read scene.json and all meshes; raises DataError when one is missing, cut short or not a result."""
+    folder = Path(folder)
+    path = folder / "scene.json"
+    try:
+        scene = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise DataError(
+            f"{folder}: not a result folder (no scene.json); `contramap map FRAME --out DIR` makes one"
+        ) from error
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path}: cannot be read ({error}); map the frame again") from error
+    if not isinstance(scene, dict) or scene.get("format") != FORMAT:
+        raise DataError(f"{path}: not a scene.json of this version (format {FORMAT}); map the frame again")
+    try:
+        objects = tuple(_load_object(folder, entry) for entry in scene["objects"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataError(
+            f"{path}: an object's entry is incomplete ({error!r}); map the frame again"
+        ) from error
+    return StoredResult(folder, scene, objects)
+
+
+def _write(
+    reconstruction: Reconstruction,
+    folder: Path,
+    truth: Mapping[int, trimesh.Trimesh] | None,
+    recording: bool,
+) -> None:
+    for item in reconstruction.objects:
+        place = folder / "objects" / object_folder(item.label, item.name)
+        place.mkdir(parents=True)
+        (place / "mesh.ply").write_bytes(encode_ply(item.mesh, item.uncertainty))
+        (place / "mesh.obj").write_bytes(encode_obj(item.mesh))
+    reconstruction.map.save(folder / "map.npz")
+    _write_fields(reconstruction, folder / "field.npz")
+    draw_overview(reconstruction, folder / "overview.png", truth)
+    if recording:
+        from reconstruction.recording import record
+
+        record(reconstruction, folder / RECORDING, truth)
+    text = json.dumps(describe(reconstruction), indent=2, ensure_ascii=False, allow_nan=False)
+    (folder / "scene.json").write_text(text + "\n", encoding="utf-8")
+
+
+def _write_fields(reconstruction: Reconstruction, path: Path) -> None:
+    """Arrays `<quantity>_<label>` of every lattice, and labels (K,) and T_world_table (4, 4)."""
+    arrays: dict[str, np.ndarray] = {
+        "labels": np.array([item.label for item in reconstruction.fields], np.int64),
+        "T_world_table": reconstruction.T_world_table,
+    }
+    for item in reconstruction.fields:
+        arrays[f"origin_{item.label}"] = np.asarray(item.origin, np.float64)
+        arrays[f"spacing_{item.label}"] = np.asarray(item.spacing, np.float64)
+        arrays[f"occupancy_{item.label}"] = np.asarray(item.occupancy, np.float16)
+        arrays[f"uncertainty_{item.label}"] = np.asarray(item.uncertainty, np.float16)
+    with path.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def _load_object(folder: Path, entry: dict[str, Any]) -> StoredObject:
+    path = folder / str(entry["mesh"])
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise DataError(f"{folder / 'scene.json'}: mesh path {entry['mesh']!r} leaves the result folder")
+    mesh, uncertainty = decode_ply(path)
+    return StoredObject(
+        label=int(entry["label"]),
+        name=str(entry["name"]),
+        mesh=mesh,
+        uncertainty=uncertainty,
+        T_world_object=np.array(entry["T_world_object"], float).reshape(4, 4),
+        extents=np.array(entry["extents"], float).reshape(3),
+        folder=path.parent,
+    )
+
+
+def _is_result(folder: Path) -> bool:
+    try:
+        scene = json.loads((folder / "scene.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(scene, dict) and str(scene.get("format", "")).startswith("contramap-result")
+
+
+def _put_in_place(partial: Path, folder: Path) -> None:
+    """Rename the finished folder; an old result is moved aside first and deleted last."""
+    if not folder.exists():
+        os.rename(partial, folder)
+        return
+    old = folder.with_name(f".{folder.name[:80]}.{uuid4().hex[:12]}.old")
+    os.rename(folder, old)
+    try:
+        os.rename(partial, folder)
+    except OSError:
+        os.rename(old, folder)
+        raise
+    shutil.rmtree(old, ignore_errors=True)

@@ -1,0 +1,111 @@
+"""scene.json: what a result folder says about itself."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from reconstruction.result import ReconstructedObject, Reconstruction
+
+FORMAT = "contramap-result-1"
+NAME_LENGTH = 48
+"""Longest object name in a path; the full name is in scene.json."""
+PACKAGES = (
+    "contramap",
+    "numpy",
+    "scipy",
+    "torch",
+    "open3d",
+    "scikit-image",
+    "trimesh",
+    "opencv-python-headless",
+)
+
+
+def describe(reconstruction: Reconstruction) -> dict[str, Any]:
+    """The content of scene.json."""
+    frame, observation = reconstruction.frame, reconstruction.observation
+    support = observation.support
+    return _plain(
+        {
+            "format": FORMAT,
+            "frame": "world",
+            "unit": "m",
+            "source": frame.source,
+            "T_world_camera": frame.camera.T_world_camera,
+            "T_world_table": reconstruction.T_world_table,
+            "support_plane": None if support is None else {"inlier_ratio": support.inlier_ratio},
+            "objects": [_describe_object(item, reconstruction) for item in reconstruction.objects],
+            "skipped": [
+                {"label": item.label, "name": item.name, "reason": item.reason}
+                for item in reconstruction.skipped
+            ],
+            "notes": reconstruction.notes,
+            "timings_ms": reconstruction.timings_ms,
+            "seed": reconstruction.seed,
+            "config": reconstruction.config,
+            "versions": _versions(),
+        }
+    )
+
+
+def _describe_object(item: ReconstructedObject, reconstruction: Reconstruction) -> dict[str, Any]:
+    place = f"objects/{object_folder(item.label, item.name)}"
+    seen = {o.label: o for o in reconstruction.observation.objects}.get(item.label)
+    return {
+        "label": item.label,
+        "name": item.name,
+        "mesh": f"{place}/mesh.ply",
+        "mesh_obj": f"{place}/mesh.obj",
+        "T_world_object": item.T_world_object,
+        "extents": item.extents,
+        "mean_uncertainty": item.mean_uncertainty,
+        "watertight": item.watertight,
+        "vertices": len(item.mesh.vertices),
+        "faces": len(item.mesh.faces),
+        "labelled_pixels": seen.labelled if seen else None,
+        "dropped_pixels": seen.dropped if seen else None,
+    }
+
+
+def safe_name(name: str) -> str:
+    """An object name as one harmless path component: ASCII letters, digits, dot, dash and underscore."""
+    ascii_name = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
+    clean = re.sub(r"[^A-Za-z0-9._-]+", "_", ascii_name).strip("._-")[:NAME_LENGTH].strip("._-")
+    return clean or "object"
+
+
+def object_folder(label: int, name: str) -> str:
+    """Name of an object's folder, <label>_<name>."""
+    return f"{label}_{safe_name(name)}"
+
+
+def _versions() -> dict[str, str]:
+    from importlib.metadata import PackageNotFoundError, version
+
+    found = {}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _plain(value: Any) -> Any:
+    """Arrays, tuples, paths and numpy numbers as JSON types; NaN and infinity as null."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    if isinstance(value, Path):
+        return str(value)
+    return value
