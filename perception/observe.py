@@ -6,8 +6,9 @@ import numpy as np
 
 from mapping.errors import FrameError
 from perception.camera import transform
-from perception.cleaning import clean_labels, remove_flying_pixels
+from perception.cleaning import clean_labels
 from perception.config import PerceptionConfig
+from perception.depth_edges import remove_flying_pixels
 from perception.frame import Frame
 from perception.observation import Observation, ObservedObject, Skipped, SupportPlane
 from perception.segmentation import segment

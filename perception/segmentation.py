@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from perception.camera import Camera
-from perception.cleaning import depth_jump
 from perception.config import PerceptionConfig
+from perception.depth_edges import connected_pieces, joined_neighbours
 from perception.observation import SupportPlane
 
 
@@ -22,30 +22,10 @@ def segment(
     if support is not None:
         height = points @ support.normal.astype(np.float32) + np.float32(support.offset)
         candidate &= height > config.segment_height
-    pieces, count = connected_pieces(depth, candidate, camera, config)
+    pieces = connected_pieces(*joined_neighbours(depth, camera, config), candidate)
     area = np.nan_to_num(depth) ** 2 / (camera.K[0, 0] * camera.K[1, 1])
-    areas = np.bincount(pieces.reshape(-1), weights=area.reshape(-1), minlength=count)
+    areas = np.bincount(pieces.reshape(-1), weights=area.reshape(-1))
     keep = areas >= config.segment_minimum_area
     keep[0] = False
     number = np.where(keep, np.cumsum(keep), 0).astype(np.uint16)
     return number[pieces]
-
-
-def connected_pieces(
-    depth: np.ndarray, mask: np.ndarray, camera: Camera, config: PerceptionConfig
-) -> tuple[np.ndarray, int]:
-    """Pieces (H, W) int32 of the mask joined by neighbours without a depth jump, 0 elsewhere; their count.
-
-    The image is spread to twice its size with the joints between pixels in the odd rows and columns,
-    so that OpenCV's component labelling can respect the jumps.
-    """
-    import cv2
-
-    jump = depth_jump(depth, camera, config)
-    spread = np.zeros((2 * camera.height - 1, 2 * camera.width - 1), np.uint8)
-    with np.errstate(invalid="ignore"):
-        spread[::2, ::2] = mask
-        spread[::2, 1::2] = mask[:, 1:] & mask[:, :-1] & (np.abs(np.diff(depth, axis=1)) < jump[:, 1:])
-        spread[1::2, ::2] = mask[1:] & mask[:-1] & (np.abs(np.diff(depth, axis=0)) < jump[1:])
-    count, pieces = cv2.connectedComponents(spread, connectivity=4)
-    return np.ascontiguousarray(pieces[::2, ::2]), count

@@ -1,0 +1,161 @@
+"""Which pieces of a bled mask belong to its object: Euclidean clusters, and the pieces that an edge parts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from perception.camera import Camera
+from perception.config import PerceptionConfig
+from perception.depth_edges import border_pairs, depth_jump
+from perception.observation import SupportPlane
+
+NEIGHBOUR_VOXELS = 1.75
+"""Occupied voxels whose centres are this near (26 neighbours) belong to one cluster [voxels]."""
+PIECE_SHARE = 0.02
+"""A piece parted from the main cluster must have this share of its pixels to be taken back."""
+COVERED_SHARE = 0.8
+"""Share of the gap between two pieces that something in front must cover."""
+LEAK_SHARE = 0.3
+"""A piece whose outer border runs on smoothly beyond the mask for more than this share is bleed."""
+NEAR_SHARE = 0.5
+"""A piece without leak is taken back within this share of the main cluster's diagonal."""
+
+
+def main_clusters(
+    points: np.ndarray,
+    labels: np.ndarray,
+    pixels: np.ndarray,
+    support: SupportPlane | None,
+    camera: Camera,
+    config: PerceptionConfig,
+) -> np.ndarray:
+    """Which pixels (N,) belong to the main 3D cluster of their label or to a parted piece of the object.
+
+    points: (H, W, 3) float32 [m] in the camera frame. labels: (H, W) as given.
+    pixels: (N,) flat indices of the labelled pixels to judge.
+    """
+    flat, raw = points.reshape(-1, 3), labels.reshape(-1)
+    own, label = flat[pixels], raw[pixels]
+    cluster = _euclidean_clusters(own, label, camera, config)
+    size = np.bincount(cluster)
+    owner = np.zeros(len(size), label.dtype)
+    owner[cluster] = label
+    largest = np.zeros(int(label.max()) + 1, np.int64)
+    np.maximum.at(largest, owner, size)
+    # Ties go to the piece met first in the image; clusters are numbered in that order.
+    main = np.zeros(len(largest), np.int64)
+    full = np.flatnonzero(size == largest[owner])
+    main[owner[full[::-1]]] = full[::-1]
+    keep = np.zeros(len(size), bool)
+    keep[main[np.unique(owner)]] = True
+    candidate = np.flatnonzero(
+        ~keep & (size >= config.minimum_pixels) & (size >= PIECE_SHARE * largest[owner])
+    )
+    if candidate.size:
+        leak = _leak_share(flat, labels, pixels, cluster, support, camera, config)
+        for piece in candidate[np.argsort(-size[candidate], kind="stable")]:
+            name = int(owner[piece])
+            core, part = own[(keep[cluster]) & (label == name)], own[cluster == piece]
+            start, end = _closest_pair(core, part)
+            gap = float(np.linalg.norm(end - start))
+            near = NEAR_SHARE * float(np.linalg.norm(np.ptp(np.quantile(core, [0.05, 0.95], axis=0), axis=0)))
+            if gap > config.split_gap:
+                continue
+            keep[piece] = (leak[piece] < LEAK_SHARE and gap < near) or _covered(
+                start, end, name, flat, raw, camera, config
+            )
+    return keep[cluster]
+
+
+def _euclidean_clusters(
+    points: np.ndarray, label: np.ndarray, camera: Camera, config: PerceptionConfig
+) -> np.ndarray:
+    """Cluster number (N,) of points (N, 3): connected voxels of one label, numbered in image order."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    # Far away, pixels and noise spread wider than the gap asked for, so the voxel grows with depth.
+    pitch = 3.0 / min(camera.K[0, 0], camera.K[1, 1])
+    voxel_size = np.ones(int(label.max()) + 1, np.float32)
+    for name in np.unique(label):
+        z = float(np.median(points[label == name, 2]))
+        voxel_size[name] = max(config.cluster_gap / 1.5, pitch * z, 2 * config.depth_noise * z * z)
+    cell = np.floor(points / voxel_size[label][:, None]).astype(np.int64)
+    cell -= cell.min(0)
+    extent = cell.max(0) + 1
+    key = ((label.astype(np.int64) * extent[0] + cell[:, 0]) * extent[1] + cell[:, 1]) * extent[2] + cell[
+        :, 2
+    ]
+    _, first, voxel = np.unique(key, return_index=True, return_inverse=True)
+    # Labels are set far apart along a fourth axis, so that one tree serves all of them.
+    centre = np.column_stack([cell[first], 10.0 * label[first]])
+    pairs = cKDTree(centre).query_pairs(NEIGHBOUR_VOXELS, output_type="ndarray")
+    graph = coo_matrix((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(first),) * 2)
+    number = connected_components(graph, directed=False)[1][voxel.reshape(-1)]
+    # Renumbered in the order met in the image, which does not depend on the labels' values.
+    _, met, number = np.unique(number, return_index=True, return_inverse=True)
+    order = np.empty(len(met), np.int64)
+    order[np.argsort(met)] = np.arange(len(met))
+    return order[number.reshape(-1)]
+
+
+def _leak_share(
+    flat: np.ndarray,
+    labels: np.ndarray,
+    pixels: np.ndarray,
+    cluster: np.ndarray,
+    support: SupportPlane | None,
+    camera: Camera,
+    config: PerceptionConfig,
+) -> np.ndarray:
+    """Share (clusters,) of each cluster's border with other labels where the surface simply runs on.
+
+    A mask that bleeds takes a strip of the surface behind, which goes on beyond the mask. An object's
+    own piece ends there: in a depth jump, or on the table, which does not count.
+    """
+    region = np.zeros(labels.shape, np.int32)
+    region.reshape(-1)[pixels] = cluster + 1
+    inner, outer = border_pairs(region)
+    raw = labels.reshape(-1)
+    outside = raw[inner] != raw[outer]
+    inner, outer = inner[outside], outer[outside]
+    step = np.abs(flat[outer, 2] - flat[inner, 2])
+    leak = step < depth_jump(flat[inner, 2], camera, config)
+    if support is not None:
+        leak &= np.abs(flat[outer] @ support.normal + support.offset) > config.plane_threshold
+    of = region.reshape(-1)[inner] - 1
+    count = int(cluster.max()) + 1
+    return np.bincount(of, weights=leak, minlength=count) / np.maximum(1, np.bincount(of, minlength=count))
+
+
+def _closest_pair(main: np.ndarray, piece: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """About the closest points (3,) of two point sets (N, 3) and (M, 3), looked for among some of them."""
+    from scipy.spatial import cKDTree
+
+    main, piece = main[:: 1 + len(main) // 2000], piece[:: 1 + len(piece) // 500]
+    distance, nearest = cKDTree(main).query(piece)
+    closest = int(np.argmin(distance))
+    return main[nearest[closest]], piece[closest]
+
+
+def _covered(
+    start: np.ndarray,
+    end: np.ndarray,
+    label: int,
+    flat: np.ndarray,
+    raw: np.ndarray,
+    camera: Camera,
+    config: PerceptionConfig,
+) -> bool:
+    """Whether the gap from start to end (3,) is hidden behind something nearer that is not this object.
+
+    Label bleed adjoins its object in the image, with nothing of another object in between.
+    """
+    along = np.linspace(0.1, 0.9, 33)[:, None]
+    uv, z = camera.project((1 - along) * start + along * end)
+    column = np.clip(np.rint(uv[:, 0]).astype(int), 0, camera.width - 1)
+    row = np.clip(np.rint(uv[:, 1]).astype(int), 0, camera.height - 1)
+    pixel = row * camera.width + column
+    nearer = np.nan_to_num(flat[pixel, 2], nan=np.inf) < z - depth_jump(z, camera, config)
+    return bool((nearer & (raw[pixel] != label)).mean() >= COVERED_SHARE)
