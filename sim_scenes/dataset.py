@@ -1,0 +1,218 @@
+"""Makes folders of simulated scenes: frames, labels and truth, reproducible from a seed."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mapping.errors import ConfigError, DataError
+from perception.camera import Camera
+from perception.frame import Frame
+from perception.frame_io import save_frame
+from sim_scenes import builtin_objects, ycb
+from sim_scenes.convex_parts import build_all
+from sim_scenes.object_model import ObjectModel
+from sim_scenes.render import Renderer, random_cameras
+from sim_scenes.surroundings import Surroundings
+from sim_scenes.tabletop import PlacedObject, Tabletop, TabletopConfig
+from sim_scenes.truth import TRUTH_FILE, load_truth
+
+DEPTH_SCALE = 1e-4
+"""Metres per unit of depth.png: fine enough that the file adds no error that matters."""
+MIN_VISIBLE_PIXELS = 200
+"""Objects that show less in the first view are taken off the table before the scene is kept."""
+LOOK_AT = np.array([0.0, 0.0, 0.04])
+"""Point [m] the cameras look at."""
+ATTEMPTS = 20
+"""Tries to compose a scene with enough objects before giving up."""
+
+
+@dataclass(frozen=True)
+class ObjectSource:
+    """A set of objects to draw from. draw(count, rng) gives models; ycb_dir: where scans came from."""
+
+    kind: str
+    draw: Callable[[int, np.random.Generator], list[ObjectModel]]
+    ycb_dir: Path | None = None
+
+
+def object_source(objects: str = "auto", ycb_dir: str | Path | None = None) -> ObjectSource:
+    """Objects to put on tables: "ycb" scans, "builtin" shapes, or "auto": scans if found, else built-in.
+
+    Raises ConfigError for another word and DataError when scans are asked for and not found.
+    """
+    if objects not in ("auto", "ycb", "builtin"):
+        raise ConfigError(f"objects: {objects!r} is unknown; valid: auto, ycb, builtin")
+    folder = None if objects == "builtin" else ycb.find_ycb(ycb_dir)
+    if folder is None and objects == "ycb":
+        raise DataError(
+            "no YCB scans found; name their folder with --ycb DIR or YCB_DIR, download them with "
+            "`contramap fetch ycb`, or use --objects builtin"
+        )
+    if folder is None:
+        return ObjectSource("builtin", builtin_objects.draw)
+    names = ycb.list_models(folder)
+
+    def draw(count: int, rng: np.random.Generator) -> list[ObjectModel]:
+        chosen = rng.choice(len(names), size=min(count, len(names)), replace=False)
+        return [ycb.load_ycb(folder, names[index]) for index in chosen]
+
+    return ObjectSource("ycb", draw, folder)
+
+
+def generate(
+    out: str | Path,
+    count: int,
+    seed: int = 0,
+    objects: str = "auto",
+    ycb_dir: str | Path | None = None,
+    views: int = 3,
+    sensor_noise: bool = False,
+    label_noise: bool = False,
+    progress: bool = True,
+) -> list[Path]:
+    """Make `count` scenes below `out`, named scene_0000 and on; finished ones of the same settings are kept.
+
+    Scene i depends on (seed, i) and the settings alone. Returns the scene folders.
+    Raises ConfigError for senseless arguments or a folder whose scenes were made with other settings.
+    """
+    from tqdm import tqdm
+
+    if count < 1 or views < 1:
+        raise ConfigError(f"count and views must be at least 1, got count={count}, views={views}")
+    source = object_source(objects, ycb_dir)
+    settings = {
+        "seed": seed,
+        "objects": source.kind,
+        "views": views,
+        "sensor_noise": sensor_noise,
+        "label_noise": label_noise,
+    }
+    folders = [Path(out) / f"scene_{index:04d}" for index in range(count)]
+    todo = [index for index, folder in enumerate(folders) if not _finished(folder, settings)]
+    if todo and source.ycb_dir is not None:
+        names = ycb.list_models(source.ycb_dir)
+        build_all([ycb.load_ycb(source.ycb_dir, name) for name in names], progress=progress)
+    for index in tqdm(todo, desc="scenes", disable=not progress):
+        rng = np.random.default_rng([seed, index])
+        make_scene(folders[index], source, rng, settings)
+    return folders
+
+
+def make_scene(
+    folder: Path, source: ObjectSource, rng: np.random.Generator, settings: dict[str, Any]
+) -> None:
+    """Compose, settle, render and write one scene; the folder appears only when it is complete."""
+    config = TabletopConfig()
+    cameras = random_cameras(settings["views"], LOOK_AT, rng)
+    placed = compose(source, cameras[0], rng, config)
+    surroundings = Surroundings.random(config.table_size_m, rng)
+    renderer = Renderer(placed, surroundings)
+    temporary = folder.with_name(folder.name + f".{os.getpid()}.tmp")
+    shutil.rmtree(temporary, ignore_errors=True)
+    names = {label: item.model.name for label, item in enumerate(placed, start=1)}
+    views = ["."] + [f"views/{view}" for view in range(1, len(cameras))]
+    for camera, view in zip(cameras, views):
+        depth, labels = renderer.depth_and_labels(camera)
+        rgb = renderer.rgb(camera, rng)
+        if settings["sensor_noise"] or settings["label_noise"]:
+            from sim_scenes import sensor_noise
+
+            if settings["label_noise"]:
+                labels = sensor_noise.noisy_labels(labels, rng)
+            if settings["sensor_noise"]:
+                depth = sensor_noise.noisy_depth(depth, camera, rng)
+        frame = Frame(depth, camera, rgb, labels, names, str(folder))
+        save_frame(frame, temporary / view, DEPTH_SCALE)
+    _write_truth(temporary, placed, source, settings, views)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(folder, ignore_errors=True)
+    temporary.rename(folder)
+
+
+def compose(
+    source: ObjectSource, camera: Camera, rng: np.random.Generator, config: TabletopConfig
+) -> list[PlacedObject]:
+    """Objects at rest on a table that all show in the camera; at least the fewest `config` asks for."""
+    for _ in range(ATTEMPTS):
+        models = source.draw(int(rng.integers(config.objects[0], config.objects[1] + 1)), rng)
+        with Tabletop(config) as table:
+            table.drop(models, rng)
+            while placed := table.placed():
+                hidden = _hidden(placed, camera)
+                if not hidden:
+                    break
+                table.remove(hidden)  # others may move then, so look again
+        if len(placed) >= config.objects[0]:
+            return placed
+    raise DataError(
+        f"no scene with {config.objects[0]} visible objects in {ATTEMPTS} tries; the objects may be too "
+        "small, or roll off the table"
+    )
+
+
+def _hidden(placed: Sequence[PlacedObject], camera: Camera) -> list[int]:
+    plain = Surroundings.plain(TabletopConfig().table_size_m)
+    _, labels = Renderer(placed, plain).depth_and_labels(camera)
+    visible = np.bincount(labels.ravel(), minlength=len(placed) + 1)[1:]
+    return [index for index, pixels in enumerate(visible) if pixels < MIN_VISIBLE_PIXELS]
+
+
+def _write_truth(
+    folder: Path,
+    placed: Sequence[PlacedObject],
+    source: ObjectSource,
+    settings: dict[str, Any],
+    views: Sequence[str],
+) -> None:
+    objects = []
+    for label, item in enumerate(placed, start=1):
+        model = item.model
+        if source.ycb_dir is not None:
+            mesh = (Path(model.name) / ycb.MESH_FILE).as_posix()
+        else:
+            mesh = f"meshes/{label}_{model.name}.ply"
+            (folder / "meshes").mkdir(exist_ok=True)
+            model.save(folder / mesh)
+        objects.append(
+            {
+                "label": label,
+                "name": model.name,
+                "source": model.source,
+                "mesh": mesh,
+                "scale": 1.0,
+                "T_world_object": item.T_world_object.tolist(),
+                "watertight": model.watertight,
+            }
+        )
+    truth = {
+        **settings,
+        "support_plane": [0.0, 0.0, 1.0, 0.0],
+        "views": list(views),
+        "ycb_dir": None if source.ycb_dir is None else str(source.ycb_dir),
+        "settings": settings,
+        "objects": objects,
+    }
+    (folder / TRUTH_FILE).write_text(json.dumps(truth, indent=1) + "\n")
+
+
+def _finished(folder: Path, settings: dict[str, Any]) -> bool:
+    """Whether a scene is there already; ConfigError when it was made with other settings."""
+    if not (folder / TRUTH_FILE).is_file():
+        if folder.exists():
+            raise ConfigError(f"{folder} is there but is no scene; choose another output folder")
+        return False
+    load_truth(folder)
+    made_with = json.loads((folder / TRUTH_FILE).read_text()).get("settings")
+    if made_with != settings:
+        raise ConfigError(
+            f"{folder} was made with other settings ({made_with}); choose another output folder or delete it"
+        )
+    return True
