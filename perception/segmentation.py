@@ -1,4 +1,4 @@
-"""Fallback instance segmentation for frames without labels: remove the support plane, cluster the rest."""
+"""Fallback segmentation for frames without labels: remove the support plane, part what stands on it."""
 
 from __future__ import annotations
 
@@ -9,23 +9,75 @@ from perception.config import PerceptionConfig
 from perception.depth_edges import connected_pieces, joined_neighbours
 from perception.observation import SupportPlane
 
+HULL_MARGIN = 0.03
+"""Objects may stand this far outside the hull of the visible table [m]."""
+HULL_POINTS = 5_000
+"""Points of the table that its hull is taken from."""
+
 
 def segment(
     points: np.ndarray, support: SupportPlane | None, camera: Camera, config: PerceptionConfig
 ) -> np.ndarray:
     """Instance labels (H, W) uint16 of what stands on the support plane, 0 elsewhere.
 
-    points: (H, W, 3) float32 [m] in the camera frame, NaN where missing.
+    Pieces are joined where neighbouring pixels have no depth jump, so objects that touch can come out
+    as one. points: (H, W, 3) float32 [m] in the camera frame, NaN where missing.
     """
     depth = points[..., 2]
-    candidate = np.isfinite(depth)
-    if support is not None:
+    measured = np.isfinite(depth)
+    joined = joined_neighbours(depth, camera, config)
+    if support is None:
+        pieces = connected_pieces(*joined, measured)
+        keep = _large_enough(pieces, depth, camera, config)
+    else:
         height = points @ support.normal.astype(np.float32) + np.float32(support.offset)
-        candidate &= height > config.segment_height
-    pieces = connected_pieces(*joined_neighbours(depth, camera, config), candidate)
-    area = np.nan_to_num(depth) ** 2 / (camera.K[0, 0] * camera.K[1, 1])
-    areas = np.bincount(pieces.reshape(-1), weights=area.reshape(-1))
-    keep = areas >= config.segment_minimum_area
+        pieces = connected_pieces(*joined, measured & (height > config.segment_height))
+        table = connected_pieces(*joined, np.abs(height) < support.threshold)
+        keep = _large_enough(pieces, depth, camera, config)
+        keep &= _stands_on_table(pieces, keep, table, points, height, support, config)
     keep[0] = False
     number = np.where(keep, np.cumsum(keep), 0).astype(np.uint16)
     return number[pieces]
+
+
+def _large_enough(
+    pieces: np.ndarray, depth: np.ndarray, camera: Camera, config: PerceptionConfig
+) -> np.ndarray:
+    """Which pieces (P,) show enough surface, seen from the camera [m^2]."""
+    area = np.nan_to_num(depth) ** 2 / (camera.K[0, 0] * camera.K[1, 1])
+    return np.bincount(pieces.reshape(-1), weights=area.reshape(-1)) >= config.segment_minimum_area
+
+
+def _stands_on_table(
+    pieces: np.ndarray,
+    candidate: np.ndarray,
+    table: np.ndarray,
+    points: np.ndarray,
+    height: np.ndarray,
+    support: SupportPlane,
+    config: PerceptionConfig,
+) -> np.ndarray:
+    """Which candidate pieces (P,) begin near the table and have their middle over its visible part."""
+    import cv2
+
+    count = np.bincount(table.reshape(-1))
+    count[0] = 0
+    if count.size < 2:
+        return candidate
+    flat, heights, of = points.reshape(-1, 3), height.reshape(-1), pieces.reshape(-1)
+    # Two axes along the plane: the rows of a basis whose third row is the normal.
+    axes = np.linalg.svd(support.normal[None])[2][1:].astype(np.float32)
+    seen = flat[table.reshape(-1) == count.argmax()]
+    hull = cv2.convexHull(np.ascontiguousarray(seen[:: 1 + len(seen) // HULL_POINTS] @ axes.T))
+    stands = np.zeros(len(candidate), bool)
+    order = np.argsort(of, kind="stable")
+    begin = np.searchsorted(of[order], np.arange(len(candidate) + 1))
+    for piece in np.flatnonzero(candidate):
+        if piece == 0:
+            continue
+        mine = order[begin[piece] : begin[piece + 1]]
+        lowest = np.quantile(heights[mine], 0.02)
+        middle = np.median(flat[mine] @ axes.T, axis=0)
+        inside = cv2.pointPolygonTest(hull, (float(middle[0]), float(middle[1])), True)
+        stands[piece] = lowest < config.segment_float and inside > -HULL_MARGIN
+    return stands

@@ -17,6 +17,10 @@ FIT_POINTS = 20_000
 """Points used by the least-squares refinement and the inlier ratio."""
 MINIMUM_SPREAD = 0.015
 """Standard deviation of the inliers along the plane's narrow direction below which it is a sliver [m]."""
+FOOTPRINT = 2.0
+"""The seen part of a plane, in standard deviations of its points around their centre."""
+CLUTTER_SHARE = 0.1
+"""Share of all points standing on a plane that makes it a full table."""
 MINIMUM_CREDIT = 0.02
 """Least credit (share of points x how well the objects rest on it) of a convincing plane."""
 
@@ -104,8 +108,15 @@ def _best_plane(
         if refined is None:
             continue
         normal, offset = refined
-        credit = share * _resting(groups, normal, offset, config) * _uprightness(normal)
-        if credit > MINIMUM_CREDIT and (best is None or credit > best[0]):
+        carries = (
+            _resting(groups, normal, offset, config) if groups else _carrying(near, normal, offset, config)
+        )
+        credit = share * carries * _uprightness(normal)
+        if credit < MINIMUM_CREDIT:
+            continue
+        if not groups:
+            credit /= offset  # of a table and the floor beneath it, the nearer one is meant
+        if best is None or credit > best[0]:
             best = (credit, normal, offset)
     return None if best is None else (best[1], best[2])
 
@@ -142,8 +153,6 @@ def _refine(
 
 def _resting(groups: list[np.ndarray], normal: np.ndarray, offset: float, config: PerceptionConfig) -> float:
     """How well the objects stand on the plane, in 0..1: above it, and with their lowest points near it."""
-    if not groups:
-        return 1.0
     scores = []
     for group in groups:
         height = group @ normal + offset
@@ -151,6 +160,18 @@ def _resting(groups: list[np.ndarray], normal: np.ndarray, offset: float, config
         gap = max(0.0, float(np.quantile(height, 0.05)))
         scores.append(max(0.0, 2 * above - 1) * np.exp(-((gap / REST_LENGTH) ** 2)))
     return float(np.mean(scores))
+
+
+def _carrying(points: np.ndarray, normal: np.ndarray, offset: float, config: PerceptionConfig) -> float:
+    """Without labels: how much stands on the plane, in 0.2..1: within reach above the part that is seen."""
+    height = points @ normal + offset
+    inlier = np.abs(height) < config.plane_threshold
+    centre = points[inlier].mean(0)
+    inverse = np.linalg.pinv(np.cov((points[inlier] - centre).T), rcond=1e-4, hermitian=True)
+    foot = points - height[:, None] * normal - centre
+    over = np.einsum("ij,jk,ik->i", foot, inverse, foot) < FOOTPRINT**2
+    standing = over & (height > config.segment_height) & (height < config.segment_reach)
+    return 0.2 + 0.8 * min(1.0, float(standing.mean()) / CLUTTER_SHARE)
 
 
 def _uprightness(normal: np.ndarray) -> float:
