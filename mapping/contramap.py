@@ -17,12 +17,17 @@ from mapping.errors import ConfigError, DataError
 from mapping.kernels import (
     FIT_CUTOFF,
     PREDICT_CUTOFF,
+    SparseFeatures,
     blocks,
     dense_features,
     lattice_logits,
     sparse_features,
 )
+from mapping.preconditioner import DiagonalFactor, SparseFactor, sparse_factor
 from mapping.softmax import FitConfig, FitReport, fit_softmax
+
+REACHED = 0.05
+"""A sample whose strongest feature is below this is out of the hinge points' reach."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,8 @@ class MapConfig:
     """Weight of the squared norm of W beside the mean cross-entropy."""
     far_uncertainty: float | None = 0.95
     """p(uncertain) out of reach of every hinge point; None gives every class the same share there."""
+    empty_bias: float = 0.0
+    """Fixed logit of class 0: above 0, unseen space counts as empty among the non-uncertain classes."""
     fit: FitConfig = field(default_factory=FitConfig)
     """How the loss is minimised."""
     device: str = "auto"
@@ -100,13 +107,17 @@ class ContraMap:
         self.offset = self._offset(count)
         features = sparse_features(X, self.hinges, self.gamma, FIT_CUTOFF, self.device)
         order = features.order.cpu().numpy()
+        # The map says "uncertain" beyond its hinge points whatever lies there: samples out of reach would
+        # only drive the outermost weights up.
+        weights = np.where(features.strongest.cpu().numpy() > REACHED, weights[order], np.float32(0))
+        weights_t = torch.from_numpy(weights / weights.sum()).to(self.device)
         targets = torch.from_numpy(y[order].astype(np.float32 if soft else np.int64)).to(self.device)
         self.W, self.report = fit_softmax(
             features,
             targets,
-            torch.from_numpy(weights[order]).to(self.device),
+            weights_t,
             self.offset,
-            len(self.hinges),
+            self._coordinates(features, weights_t),
             self.config.l2,
             self.config.fit,
         )
@@ -168,10 +179,22 @@ class ContraMap:
         # Kernels vanish far away and leave softmax(offset): fixed, not fitted, so that a query out of reach
         # of every hinge point answers "uncertain" however the training data were balanced.
         offset = torch.zeros(count, device=self.device)
+        offset[0] = self.config.empty_bias
         share = self.config.far_uncertainty
         if share is not None and count > 1:
-            offset[-1] = float(np.log(share / (1 - share) * (count - 1)))
+            others = np.exp(self.config.empty_bias) + count - 2
+            offset[-1] = float(np.log(share / (1 - share) * others))
         return offset
+
+    def _coordinates(self, features: SparseFeatures, weights: torch.Tensor) -> SparseFactor | DiagonalFactor:
+        # p (1 - p) <= 1/4 for every class, so 1/4 sum w phi phi^T + l2 bounds each class's curvature.
+        if len(self.hinges) > self.config.fit.gram_limit:
+            curvature = 0.25 * features.squared_column_sums(weights) + self.config.l2
+            return DiagonalFactor(curvature.rsqrt()[:, None])
+        bound = 0.25 * features.gram(weights)
+        diagonal = bound.diagonal()
+        diagonal += self.config.l2 + 1e-5 * diagonal.mean()
+        return sparse_factor(bound, self.hinges)
 
     def _tensors(self, *arrays: np.ndarray) -> tuple[torch.Tensor, ...]:
         return tuple(torch.from_numpy(a).to(self.device) for a in arrays)

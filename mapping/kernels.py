@@ -10,11 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy import sparse
 
 FIT_CUTOFF = 1e-3
 """Features below this are dropped while fitting: 20-50 of thousands remain a row."""
 PREDICT_CUTOFF = 1e-7
 """Features below this are dropped while predicting: below float32 rounding of the logits."""
+GRAM_STRIDE = 3
+"""The Gram matrix only guides the fit's steps: every third row will do."""
 LATTICE_BLOCK = 24
 """Nodes a side of the blocks a lattice is evaluated in; small blocks see few hinge points."""
 
@@ -27,12 +30,23 @@ class SparseFeatures:
     """
 
     order: torch.Tensor
+    strongest: torch.Tensor  # (N,) largest feature of each row
     offsets: torch.Tensor  # (N,) start of each row
     columns: torch.Tensor  # (nnz,) hinge index
     values: torch.Tensor  # (nnz,) float32
     transposed_offsets: torch.Tensor  # (H,)
     transposed_columns: torch.Tensor  # (nnz,) row index
     transposed_values: torch.Tensor  # (nnz,)
+
+    def gram(self, row_weights: torch.Tensor) -> torch.Tensor:
+        """Estimate of sum_i w_i phi_i phi_i^T, (H, H), from every GRAM_STRIDE-th row; row_weights: (N,)."""
+        offsets = np.append(self.offsets.cpu().numpy(), len(self.values))
+        shape = (len(self.order), len(self.transposed_offsets))
+        rows = sparse.csr_matrix((self.values.cpu().numpy(), self.columns.cpu().numpy(), offsets), shape)
+        rows = rows[::GRAM_STRIDE]
+        weights = GRAM_STRIDE * row_weights.cpu().numpy()[::GRAM_STRIDE]
+        gram = (rows.T.tocsr() @ rows.multiply(weights[:, None]).tocsr()).toarray()
+        return torch.from_numpy(gram).to(self.values.device)
 
     def times(self, W: torch.Tensor) -> torch.Tensor:
         """Phi W: (H, C) -> (N, C)."""
@@ -76,7 +90,7 @@ def blocks(
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Split points into compact groups: yields (indices into X, indices of the hinges in reach)."""
     radius = reach(gamma, cutoff).astype(np.float32)
-    size = 1.5 * float(radius.max())
+    size = float(radius.max())
     cell = np.floor((X - X.min(0)) / size).astype(np.int64)
     key = np.ravel_multi_index(tuple(cell.T), tuple(cell.max(0) + 1))
     order = np.argsort(key, kind="stable")
@@ -89,17 +103,22 @@ def blocks(
 
 
 def sparse_features(
-    X: np.ndarray, hinges: np.ndarray, gamma: np.ndarray, cutoff: float, device: torch.device
+    X: np.ndarray,
+    hinges: np.ndarray,
+    gamma: np.ndarray,
+    cutoff: float,
+    device: torch.device,
 ) -> SparseFeatures:
     """Truncated features of X (N, d); each row keeps the hinges whose feature exceeds `cutoff`."""
     X_t, hinges_t = torch.from_numpy(X), torch.from_numpy(hinges)
     gamma_t = torch.from_numpy(gamma)
-    rows_of, lengths, columns, values = [], [], [], []
+    rows_of, strongest, lengths, columns, values = [], [], [], [], []
     for rows, near in blocks(X, hinges, gamma, cutoff):
         rows_t, near_t = torch.from_numpy(rows), torch.from_numpy(near)
         phi = dense_features(X_t[rows_t], hinges_t[near_t], gamma_t[near_t])
         kept = phi > cutoff
         rows_of.append(rows_t)
+        strongest.append(phi.amax(1) if len(near) else torch.zeros(len(rows)))
         lengths.append(kept.sum(1))
         columns.append(near_t[kept.nonzero()[:, 1]])
         values.append(phi[kept])
@@ -111,7 +130,16 @@ def sparse_features(
     row = torch.repeat_interleave(torch.arange(len(length), dtype=torch.int32), length)
     counts = torch.bincount(column, minlength=len(hinges))
     transposed_offsets = (counts.cumsum(0) - counts).int()
-    tensors = (order, offsets, column, value, transposed_offsets, row[by_column], value[by_column])
+    tensors = (
+        order,
+        torch.cat(strongest),
+        offsets,
+        column,
+        value,
+        transposed_offsets,
+        row[by_column],
+        value[by_column],
+    )
     return SparseFeatures(*(t.to(device) for t in tensors))
 
 

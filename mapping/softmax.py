@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import torch
 
 from mapping.kernels import SparseFeatures
+from mapping.preconditioner import DiagonalFactor, SparseFactor
 
 
 @dataclass(frozen=True)
@@ -19,10 +20,12 @@ class FitConfig:
 
     max_iterations: int = 200
     """Upper limit of quasi-Newton steps."""
-    tolerance: float = 2e-5
-    """Stop when the loss fell by less than this, relative to the loss, on average over the last 5 steps."""
+    tolerance: float = 1e-4
+    """Stop when the mean loss [nats] fell by less than this a step, on average over the last 3 steps."""
     memory: int = 8
     """Pairs of steps that L-BFGS remembers."""
+    gram_limit: int = 12000
+    """Up to this many hinge points steps are preconditioned by their Gram matrix, above by its diagonal."""
 
 
 @dataclass(frozen=True)
@@ -39,56 +42,52 @@ def fit_softmax(
     targets: torch.Tensor,
     sample_weights: torch.Tensor,
     offset: torch.Tensor,
-    hinge_count: int,
+    coordinates: SparseFactor | DiagonalFactor,
     l2: float,
     config: FitConfig,
 ) -> tuple[torch.Tensor, FitReport]:
-    """Minimise sum_i w_i CE(softmax(W^T phi_i + offset), t_i) / sum_i w_i + l2/2 ||W||^2.
+    """Minimise sum_i w_i CE(softmax(W^T phi_i + offset), t_i) + l2/2 ||W||^2.
 
     targets: (N,) int64 classes or (N, C) float32 distributions, rows as in `features`.
-    offset: (C,) fixed. Returns W (H, C) and the report.
+    sample_weights: (N,) that sum to 1; offset: (C,) fixed. Returns W (H, C) and the report.
 
-    Logits are linear in W, so one product gives them along a whole search direction and a step length
-    costs only an exponential a sample; each step needs two sparse products in all.
+    Neighbouring kernels overlap, so the loss is badly conditioned in W. The fit runs in coordinates U with
+    W = G^T U, where G whitens a bound on the Hessian (Böhning 1992): there L-BFGS needs a third of the
+    steps. Logits are linear in W, so trying a step length costs an exponential a sample and no product.
     """
-    objective = _Objective(features, targets, sample_weights / sample_weights.sum(), offset, l2)
-    W = torch.zeros(hinge_count, len(offset), device=offset.device)
+    objective = _Objective(features, targets, sample_weights, offset, l2)
+    W = torch.zeros(len(features.transposed_offsets), len(offset), device=offset.device)
     logits = offset.expand(len(targets), -1).contiguous()
-    # The softmax Hessian is at most 1/2 per feature; the diagonal scales rare hinges up.
-    scale = 1.0 / (0.25 * features.squared_column_sums(objective.weights) + l2)[:, None]
     loss, residual = objective.loss_and_residual(W, logits)
-    gradient = objective.gradient(W, residual)
+    gradient = coordinates.pull(objective.gradient(W, residual))
     losses = [loss]
     history: deque[tuple[torch.Tensor, torch.Tensor, float]] = deque(maxlen=config.memory)
     converged = False
     for _ in range(config.max_iterations):
-        direction = -_inverse_hessian_times(gradient, history, scale)
-        slope = float((gradient * direction).sum())
-        if slope >= 0:  # rounding broke the curvature estimate: start it anew
-            history.clear()
-            direction = -scale * gradient
-            slope = float((gradient * direction).sum())
+        step_U = -_inverse_hessian_times(gradient, history)
+        slope = float((gradient * step_U).sum())
+        direction = coordinates.push(step_U)
         logits_direction = features.times(direction)
-        step, trial_loss = 1.0, loss
+        length, trial_loss = 1.0, loss
         for _ in range(12):
-            trial_W, trial_logits = W + step * direction, logits + step * logits_direction
+            trial_W, trial_logits = W + length * direction, logits + length * logits_direction
             trial_loss, residual = objective.loss_and_residual(trial_W, trial_logits)
-            if trial_loss <= loss + 1e-4 * step * slope:
+            if trial_loss <= loss + 1e-4 * length * slope:
                 break
-            # Minimum of the parabola through both losses and the slope, kept inside (0.1, 0.6) of the step.
-            parabola = -slope * step / (2 * (trial_loss - loss - slope * step)) if trial_loss < 1e30 else 0.1
-            step *= min(max(parabola, 0.1), 0.6)
+            # Minimum of the parabola through both losses and the slope, kept within 0.1-0.6 of the length.
+            parabola = -slope * length / (2 * (trial_loss - loss - slope * length))
+            length *= min(max(parabola, 0.1), 0.6)
         else:
-            converged = True  # no descent left at this precision
+            converged = True  # no descent is left at this precision
             break
-        new_gradient = objective.gradient(trial_W, residual)
-        s, y = trial_W - W, new_gradient - gradient
+        new_gradient = coordinates.pull(objective.gradient(trial_W, residual))
+        s, y = length * step_U, new_gradient - gradient
         curvature = float((s * y).sum())
-        if curvature > 1e-12:
+        if curvature > 0:
             history.append((s, y, curvature))
         W, logits, loss, gradient = trial_W, trial_logits, trial_loss, new_gradient
         losses.append(loss)
-        if len(losses) > 5 and losses[-6] - loss < 5 * config.tolerance * loss:
+        if len(losses) > 3 and losses[-4] - loss < 3 * config.tolerance:
             converged = True
             break
     return W, FitReport(losses, len(losses) - 1, converged)
@@ -107,9 +106,8 @@ class _Objective:
     ):
         self.features, self.weights, self.l2 = features, weights, l2
         if targets.ndim == 1:
-            self.targets = torch.nn.functional.one_hot(targets, len(offset)).to(offset.dtype)
-        else:
-            self.targets = targets
+            targets = torch.nn.functional.one_hot(targets, len(offset)).to(offset.dtype)
+        self.weighted_targets = targets * weights[:, None]
 
     def loss_and_residual(self, W: torch.Tensor, logits: torch.Tensor) -> tuple[float, torch.Tensor]:
         # Without the row maximum float32 overflows past 88; the shift is rarely needed, so it is conditional.
@@ -117,30 +115,30 @@ class _Objective:
             logits = logits - logits.amax(1, keepdim=True)
         p = logits.exp()
         total = p.sum(1)
-        log_likelihood = (self.targets * logits).sum(1) - total.log()
-        data = -float(torch.dot(self.weights, log_likelihood).double())
-        penalty = 0.5 * self.l2 * float(W.square().sum())
-        residual = p.mul_((self.weights / total)[:, None]).sub_(self.targets * self.weights[:, None])
-        return data + penalty, residual
+        data = torch.dot(self.weights, total.log()) - torch.dot(
+            self.weighted_targets.view(-1), logits.view(-1)
+        )
+        penalty = 0.5 * self.l2 * torch.dot(W.view(-1), W.view(-1))
+        residual = p.mul_((self.weights / total)[:, None]).sub_(self.weighted_targets)
+        return float(data + penalty), residual
 
     def gradient(self, W: torch.Tensor, residual: torch.Tensor) -> torch.Tensor:
         return self.features.transpose_times(residual).add_(W, alpha=self.l2)
 
 
 def _inverse_hessian_times(
-    gradient: torch.Tensor, history: deque[tuple[torch.Tensor, torch.Tensor, float]], scale: torch.Tensor
+    gradient: torch.Tensor, history: deque[tuple[torch.Tensor, torch.Tensor, float]]
 ) -> torch.Tensor:
-    """L-BFGS two-loop recursion with a diagonal start (Nocedal and Wright, algorithm 7.4)."""
+    """L-BFGS two-loop recursion (Nocedal and Wright, algorithm 7.4)."""
     q = gradient.clone()
     alphas = []
     for s, y, curvature in reversed(history):
         alpha = float((s * q).sum()) / curvature
         q.sub_(y, alpha=alpha)
         alphas.append(alpha)
-    q.mul_(scale)
     if history:
         _, y, curvature = history[-1]
-        q.mul_(curvature / float((y * y * scale).sum()))
+        q.mul_(curvature / float(y.square().sum()))
     for (s, y, curvature), alpha in zip(history, reversed(alphas)):
         q.add_(s, alpha=alpha - float((y * q).sum()) / curvature)
     return q

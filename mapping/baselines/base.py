@@ -25,7 +25,7 @@ class UncertaintyClassifier(ABC):
         """Class probabilities (N, C) at points X (N, d); rows sum to 1."""
 
     def uncertainty(self, X: np.ndarray) -> np.ndarray:
-        """(N,) in [0, 1]: the predictive variance sum_c p_c (1 - p_c), 1 where all classes are equally likely."""
+        """(N,) in [0, 1]: sum_c p_c (1 - p_c) over its largest value, 1 where all classes are alike."""
         return gini(self.predict_proba(X))
 
 

@@ -1,10 +1,10 @@
 """Bayesian Hilbert map (Senanayake and Ramos 2017): binary, full covariance, Jaakkola-Jordan bound.
 
-p(y = 1 | x) = sigmoid(w . phi(x)) with w ~ N(0, I / prior_precision). The bound replaces each sigmoid by a Gaussian
-with a variational xi_n, so that every batch updates a Gaussian posterior in closed form:
+p(y = 1 | x) = sigmoid(w . phi(x)) with w ~ N(0, I / prior_precision). The bound replaces each sigmoid by a
+Gaussian with a variational xi_n, so that every batch updates a Gaussian posterior in closed form:
 
-    Lambda = Lambda_0 + 2 sum_n lambda(xi_n) phi_n phi_n^T,      lambda(xi) = (sigmoid(xi) - 1/2) / (2 xi),
-    Lambda mu = Lambda_0 mu_0 + sum_n (y_n - 1/2) phi_n,         xi_n^2 = phi_n^T Lambda^-1 phi_n + (mu . phi_n)^2.
+    Lambda = Lambda_0 + 2 sum_n lambda(xi_n) phi_n phi_n^T,  lambda(xi) = (sigmoid(xi) - 1/2) / (2 xi),
+    Lambda mu = Lambda_0 mu_0 + sum_n (y_n - 1/2) phi_n,     xi_n^2 = phi_n^T Lambda^-1 phi_n + (mu.phi_n)^2.
 
 The posterior of a batch is the prior of the next. Features are not truncated, as published: the cost is
 N H^2 for every update and Q H^2 for Q queries. The two products run in float32; the precision is summed and
@@ -33,7 +33,7 @@ class BayesianHilbertConfig:
     """Kernel width: phi = exp(-gamma d^2), in 1/m^2."""
     prior_precision: float = 1e-4
     """Precision of the weights' prior."""
-    iterations: int = 3
+    iterations: int = 2
     """Rounds of posterior and xi a batch; xi starts at 1."""
     batch: int = 20_000
     """Points a sequential update, at most."""
@@ -44,8 +44,8 @@ class BayesianHilbertConfig:
 class BayesianHilbertMap:
     """Gaussian posterior over the weights of a binary kernel map, updated batch after batch."""
 
-    def __init__(self, config: BayesianHilbertConfig = BayesianHilbertConfig()) -> None:
-        self.config = config
+    def __init__(self, config: BayesianHilbertConfig | None = None) -> None:
+        self.config = config or BayesianHilbertConfig()
 
     def fit(
         self,

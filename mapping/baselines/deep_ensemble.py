@@ -20,8 +20,8 @@ from mapping.baselines.residual_network import (
 class DeepEnsemble(UncertaintyClassifier):
     """`members` residual networks that differ in their start and in the order of the data."""
 
-    def __init__(self, config: NetworkConfig = NetworkConfig(), members: int = 10) -> None:
-        self.config, self.members = config, members
+    def __init__(self, config: NetworkConfig | None = None, members: int = 10) -> None:
+        self.config, self.members = config or NetworkConfig(), members
 
     def fit(self, X: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> Self:
         X, y, classes = check_labelled_points(X, y)

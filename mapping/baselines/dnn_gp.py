@@ -60,10 +60,8 @@ class RandomFeatureLayer(nn.Module):
 class DnnGp(UncertaintyClassifier):
     """Residual network with a random-feature Gaussian process on top."""
 
-    def __init__(
-        self, config: NetworkConfig = NetworkConfig(), layer: GaussianLayerConfig = GaussianLayerConfig()
-    ) -> None:
-        self.config, self.layer = config, layer
+    def __init__(self, config: NetworkConfig | None = None, layer: GaussianLayerConfig | None = None) -> None:
+        self.config, self.layer = config or NetworkConfig(), layer or GaussianLayerConfig()
 
     def fit(self, X: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> Self:
         X, y, classes = check_labelled_points(X, y)

@@ -20,8 +20,8 @@ from mapping.baselines.residual_network import (
 class McDropout(UncertaintyClassifier):
     """One residual network, `passes` predictions with other units dropped in each."""
 
-    def __init__(self, config: NetworkConfig = NetworkConfig(), passes: int = 10) -> None:
-        self.config, self.passes = config, passes
+    def __init__(self, config: NetworkConfig | None = None, passes: int = 10) -> None:
+        self.config, self.passes = config or NetworkConfig(), passes
 
     def fit(self, X: np.ndarray, y: np.ndarray, rng: np.random.Generator) -> Self:
         X, y, classes = check_labelled_points(X, y)

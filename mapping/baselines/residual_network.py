@@ -38,6 +38,9 @@ class ResidualNetwork(nn.Module):
         self.residual = nn.ModuleList(nn.Linear(config.width, config.width) for _ in range(config.layers))
         self.dropout = nn.Dropout(config.dropout)
         self.head = head
+        for layer in [self.input, *self.residual]:  # Keras's defaults: the tutorial's length scales need them
+            nn.init.xavier_uniform_(layer.weight)
+            nn.init.zeros_(layer.bias)
 
     def hidden(self, X: torch.Tensor) -> torch.Tensor:
         """(N, width) activations that the head sees."""

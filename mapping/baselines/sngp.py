@@ -1,4 +1,4 @@
-"""SNGP: DNN-GP whose residual layers have bounded spectral norms, so that distances survive to the last layer."""
+"""SNGP: DNN-GP whose residual layers have bounded spectral norms, so that distances survive."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ class Sngp(DnnGp):
 
     def __init__(
         self,
-        config: NetworkConfig = NetworkConfig(),
-        layer: GaussianLayerConfig = GaussianLayerConfig(),
+        config: NetworkConfig | None = None,
+        layer: GaussianLayerConfig | None = None,
         norm_bound: float = 0.9,
         power_iterations: int = 1,
     ) -> None:
