@@ -28,7 +28,7 @@ from reconstruction.atomic import advice
 from reconstruction.mesh_files import decode_ply, encode_obj, encode_ply
 from reconstruction.overview import draw_overview
 from reconstruction.result import Reconstruction
-from reconstruction.scene_json import FORMAT, describe, object_folder
+from reconstruction.scene_json import FORMAT, describe, object_folder, to_json
 
 RECORDING = "recording.rrd"
 
@@ -147,8 +147,7 @@ def _write(
         from reconstruction.recording import record
 
         record(reconstruction, folder / RECORDING, truth)
-    text = json.dumps(describe(reconstruction), indent=2, ensure_ascii=False, allow_nan=False)
-    (folder / "scene.json").write_text(text + "\n", encoding="utf-8")
+    (folder / "scene.json").write_text(to_json(describe(reconstruction)), encoding="utf-8")
 
 
 def _write_fields(reconstruction: Reconstruction, path: Path) -> None:

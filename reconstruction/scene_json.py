@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import unicodedata
 from pathlib import Path
@@ -70,6 +71,13 @@ def _describe_object(item: ReconstructedObject, reconstruction: Reconstruction) 
         "labelled_pixels": seen.labelled if seen else None,
         "dropped_pixels": seen.dropped if seen else None,
     }
+
+
+def to_json(content: dict[str, Any]) -> str:
+    """JSON text with one line for each row of numbers."""
+    text = json.dumps(content, indent=2, ensure_ascii=True, allow_nan=False)
+    rows = re.compile(r"\[\n\s+(-?[\d.]+(?:e[+-]?\d+)?(?:,\n\s+-?[\d.]+(?:e[+-]?\d+)?)*)\n\s+\]")
+    return rows.sub(lambda row: "[" + re.sub(r",\n\s+", ", ", row[1]) + "]", text) + "\n"
 
 
 def safe_name(name: str) -> str:

@@ -1,0 +1,248 @@
+"""One rerun recording per run, written to a file or shown live.
+
+world                           annotation context: 0 background and empty, each label, uncertain
+world/camera                    pose and pinhole; /rgb /depth /labels are its images
+world/cloud                     the cleaned points, coloured
+world/table                     the table frame; the map's own frame
+world/table/hinges              hinge points
+world/table/samples/<class>     training samples: empty, <label>_<name>, uncertain
+world/meshes/<label>_<name>     result meshes in the objects' colours
+world/uncertainty/<label>_<name>  the same coloured by p(uncertain)
+world/truth/<label>             true meshes, where known
+world/slice                     p(uncertain) on a horizontal cut
+fit/loss                        one value a step, on the timeline `step`
+timings                         milliseconds a stage, in the order of the summary
+summary                         text
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from mapping.errors import ConfigError
+from perception.camera import invert_rigid, transform
+from reconstruction.atomic import write_atomically
+from reconstruction.blueprint import first_view, mesh_blueprint, run_blueprint
+from reconstruction.palette import EMPTY_COLOUR, UNCERTAIN_COLOUR, object_colour, uncertainty_colours
+from reconstruction.result import ReconstructedObject, Reconstruction
+from reconstruction.result_folder import StoredObject, StoredResult
+from reconstruction.scene_json import object_folder
+from reconstruction.slices import slice_uncertainty, table_axes
+
+Truth = Mapping[int, trimesh.Trimesh]
+TRUTH_COLOUR = (90, 200, 120, 110)
+HINGE_COLOUR = (40, 44, 52)
+SEGMENTATION_OPACITY = 0.45
+
+
+def record(reconstruction: Reconstruction, path: Path, truth: Truth | None = None) -> None:
+    """Write the recording of a run; truth: label -> true mesh in the world frame [m].
+
+    Raises ConfigError when rerun is not installed, DataError when the file cannot be written.
+    """
+    stream = _rerun().RecordingStream("contramap")
+    memory = stream.memory_recording()
+    stream.send_blueprint(_blueprint(reconstruction))
+    _log_run(stream, reconstruction, truth)
+    _save(stream, memory, path)
+
+
+def show(reconstruction: Reconstruction, truth: Truth | None = None) -> None:
+    """Open the rerun viewer and send the run to it; needs a display."""
+    stream = _rerun().RecordingStream("contramap")
+    stream.spawn(default_blueprint=_blueprint(reconstruction))
+    _log_run(stream, reconstruction, truth)
+    stream.flush()
+
+
+def record_stored(result: StoredResult, path: Path) -> None:
+    """Write a recording of a result folder's meshes, for results whose run was not recorded."""
+    stream = _rerun().RecordingStream("contramap")
+    memory = stream.memory_recording()
+    stream.send_blueprint(mesh_blueprint())
+    T_world_table = np.array(result.scene.get("T_world_table") or np.eye(4), float).reshape(4, 4)
+    _log_table(stream, T_world_table, upright=result.scene.get("support_plane") is not None)
+    for index, item in enumerate(result.objects):
+        _log_mesh(stream, item, object_colour(index))
+    timings = {str(stage): float(value) for stage, value in result.scene.get("timings_ms", {}).items()}
+    _log_text(stream, "\n".join(_object_lines(result.objects) + _timing_lines(timings)))
+    _save(stream, memory, path)
+
+
+def _rerun() -> Any:
+    try:
+        import rerun
+    except ImportError as error:
+        raise ConfigError(f"recordings need rerun ({error}): pip install 'contramap[viz]'") from error
+    return rerun
+
+
+def _save(stream: Any, memory: Any, path: Path) -> None:
+    # Collected in memory: rerun's own file sink neither raises nor returns when the disk is full.
+    stream.flush()
+    write_atomically(Path(path), memory.drain_as_bytes())
+    stream.disconnect()
+
+
+def _log_run(stream: Any, reconstruction: Reconstruction, truth: Truth | None) -> None:
+    has_plane = reconstruction.observation.support is not None
+    _log_table(stream, reconstruction.T_world_table, upright=has_plane)
+    uncertain = _log_classes(stream, reconstruction)
+    _log_camera(stream, reconstruction)
+    _log_map(stream, reconstruction, uncertain)
+    for item in reconstruction.objects:
+        _log_mesh(stream, item, object_colour(item.class_index - 1))
+    for label, mesh in (truth or {}).items():
+        stream.log(f"world/truth/{label}", _mesh3d(mesh, colour=TRUTH_COLOUR), static=True)
+    if reconstruction.objects:
+        _log_slice(stream, reconstruction)
+    _log_text(stream, _summary(reconstruction))
+
+
+def _log_table(stream: Any, T_world_table: np.ndarray, upright: bool) -> None:
+    rr = _rerun()
+    axes = rr.ViewCoordinates.RIGHT_HAND_Z_UP if upright else rr.ViewCoordinates.RDF
+    pose = rr.Transform3D(translation=T_world_table[:3, 3], mat3x3=T_world_table[:3, :3])
+    stream.log("world/table", pose, axes, static=True)
+
+
+def _log_classes(stream: Any, reconstruction: Reconstruction) -> int:
+    """Log the annotation context: instance labels keep their numbers. Returns the uncertain class's."""
+    objects = reconstruction.observation.objects
+    taken = {item.label for item in objects}
+    uncertain = next(number for number in range(65535, 0, -1) if number not in taken)
+    classes = [(0, "empty", EMPTY_COLOUR), (uncertain, "uncertain", UNCERTAIN_COLOUR)]
+    classes += [(item.label, item.name, object_colour(index)) for index, item in enumerate(objects)]
+    stream.log("world", _rerun().AnnotationContext(classes), static=True)
+    return uncertain
+
+
+def _log_camera(stream: Any, reconstruction: Reconstruction) -> None:
+    rr = _rerun()
+    frame, observation = reconstruction.frame, reconstruction.observation
+    camera = frame.camera
+    pinhole = rr.Pinhole(
+        image_from_camera=camera.K,
+        width=camera.width,
+        height=camera.height,
+        camera_xyz=rr.ViewCoordinates.RDF,
+        image_plane_distance=0.1,
+    )
+    T = camera.T_world_camera
+    stream.log("world/camera", rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]), pinhole, static=True)
+    if frame.rgb is not None:
+        stream.log("world/camera/rgb", rr.Image(frame.rgb), static=True)
+    stream.log("world/camera/depth", rr.DepthImage(np.nan_to_num(frame.depth), meter=1.0), static=True)
+    segmentation = rr.SegmentationImage(observation.labels, opacity=SEGMENTATION_OPACITY)
+    stream.log("world/camera/labels", segmentation, static=True)
+    kept = np.isfinite(observation.depth)
+    points = transform(T, camera.back_project(observation.depth)[kept])
+    colours = frame.rgb[kept] if frame.rgb is not None else EMPTY_COLOUR
+    stream.log("world/cloud", rr.Points3D(points, colors=colours, radii=0.0008), static=True)
+
+
+def _log_map(stream: Any, reconstruction: Reconstruction, uncertain: int) -> None:
+    """Hinge points, training samples by class, and how the fit went."""
+    rr = _rerun()
+    model = reconstruction.map
+    hinges = rr.Points3D(model.hinges, colors=HINGE_COLOUR, radii=0.0015)
+    stream.log("world/table/hinges", hinges, static=True)
+    seen = reconstruction.observation.objects
+    classes = reconstruction.sample_classes
+    classes = classes.argmax(axis=1) if classes.ndim == 2 else classes
+    names = ["empty", *(object_folder(item.label, item.name) for item in seen), "uncertain"]
+    numbers = [0, *(item.label for item in seen), uncertain]
+    for index, (name, number) in enumerate(zip(names, numbers, strict=True)):
+        points = reconstruction.samples[classes == index]
+        samples = rr.Points3D(points, class_ids=number, radii=0.002)
+        stream.log(f"world/table/samples/{name}", samples, static=True)
+    losses = model.report.losses
+    stream.log("fit/loss", rr.SeriesLines(colors=HINGE_COLOUR, names="loss", widths=2), static=True)
+    if losses:
+        steps = rr.TimeColumn("step", sequence=range(len(losses)))
+        stream.send_columns("fit/loss", indexes=[steps], columns=rr.Scalars.columns(scalars=losses))
+    timings = [value for stage, value in reconstruction.timings_ms.items() if stage != "total"]
+    if timings:
+        stream.log("timings", rr.BarChart(timings, color=object_colour(0)), static=True)
+
+
+def _log_mesh(stream: Any, item: ReconstructedObject | StoredObject, colour: tuple[int, ...]) -> None:
+    key = object_folder(item.label, item.name)
+    stream.log(f"world/meshes/{key}", _mesh3d(item.mesh, colour=colour), static=True)
+    unsure = _mesh3d(item.mesh, vertex_colours=uncertainty_colours(item.uncertainty))
+    stream.log(f"world/uncertainty/{key}", unsure, static=True)
+
+
+def _mesh3d(
+    mesh: trimesh.Trimesh,
+    colour: tuple[int, ...] | None = None,
+    vertex_colours: np.ndarray | None = None,
+) -> Any:
+    return _rerun().Mesh3D(
+        vertex_positions=mesh.vertices,
+        triangle_indices=mesh.faces,
+        vertex_normals=mesh.vertex_normals,
+        vertex_colors=vertex_colours,
+        albedo_factor=colour,
+    )
+
+
+def _log_slice(stream: Any, reconstruction: Reconstruction) -> None:
+    """The slice as a picture on a flat square; the texture's first row is its far edge."""
+    section = slice_uncertainty(reconstruction)
+    square = _rerun().Mesh3D(
+        vertex_positions=section.corners,
+        triangle_indices=[[0, 1, 2], [0, 2, 3]],
+        vertex_texcoords=[[0, 0], [1, 0], [1, 1], [0, 1]],
+        albedo_texture=uncertainty_colours(section.values),
+    )
+    stream.log("world/slice", square, static=True)
+
+
+def _log_text(stream: Any, text: str) -> None:
+    rr = _rerun()
+    stream.log("summary", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+
+
+def _summary(reconstruction: Reconstruction) -> str:
+    """Objects, timings, fit and what was skipped, as Markdown."""
+    report, support = reconstruction.map.report, reconstruction.observation.support
+    end = "converged" if report.converged else "stopped"
+    lines = _object_lines(reconstruction.objects) + _timing_lines(reconstruction.timings_ms)
+    lines += ["", f"Fit: {end} after {report.iterations} steps, seed {reconstruction.seed}."]
+    if support is not None:
+        lines += ["", f"Support plane: {support.inlier_ratio:.0%} of the unlabelled pixels lie on it."]
+    lines += [f"- skipped {item.name} (label {item.label}): {item.reason}" for item in reconstruction.skipped]
+    lines += [f"- {note}" for note in reconstruction.notes]
+    return "\n".join(lines)
+
+
+def _object_lines(objects: Sequence[ReconstructedObject | StoredObject]) -> list[str]:
+    lines = ["| object | size [cm] | mean p(uncertain) |", "|---|---|---|"]
+    for item in objects:
+        size = " x ".join(f"{100 * extent:.1f}" for extent in item.extents)
+        mean = float(np.mean(item.uncertainty))
+        lines.append(f"| {item.label} {_escape(item.name)} | {size} | {mean:.2f} |")
+    return lines
+
+
+def _timing_lines(timings_ms: Mapping[str, float]) -> list[str]:
+    rows = [f"| {stage} | {value:.1f} |" for stage, value in timings_ms.items()]
+    return ["", "| stage | ms |", "|---|---|", *rows]
+
+
+def _escape(name: str) -> str:
+    return "".join(c if c.isalnum() or c in " ._-" else f"&#{ord(c)};" for c in name)
+
+
+def _blueprint(reconstruction: Reconstruction) -> Any:
+    T_table_world = invert_rigid(reconstruction.T_world_table)
+    axes = table_axes(reconstruction) @ T_table_world[:3, :3].T  # in the table frame
+    meshes = [item.mesh.vertices for item in reconstruction.objects]
+    points = transform(T_table_world, np.concatenate(meshes)) if meshes else reconstruction.samples
+    return run_blueprint(*first_view(points.min(0), points.max(0), axes[0], axes[2]), axes[2])
