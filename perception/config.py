@@ -46,7 +46,7 @@ class PerceptionConfig:
     """Without labels, what stands higher than this above the support plane is an object [m]."""
     segment_reach: float = 0.35
     """Without labels, only what lies within this height above a plane speaks for it as the support [m]."""
-    segment_float: float = 0.12
+    segment_float: float = 0.25
     """Without labels, a piece that begins higher than this above the support does not stand on it [m]."""
     segment_minimum_area: float = 4e-4
     """Without labels, a piece with less visible surface than this is no object [m^2]."""

@@ -9,8 +9,14 @@ from perception.config import PerceptionConfig
 from perception.depth_edges import connected_pieces, joined_neighbours
 from perception.observation import SupportPlane
 
-HULL_MARGIN = 0.03
-"""Objects may stand this far outside the hull of the visible table [m]."""
+HULL_MARGIN = 0.15
+"""Objects may stand this far outside the hull of the visible table, if nothing speaks against it [m]."""
+SEEN_THROUGH = 0.25
+"""Where the camera looks through the plane at more than this share of its feet, nothing stands."""
+LARGEST_EXTENT = 0.5
+"""What is larger than this diagonally along the table is furniture [m]."""
+PIECE_POINTS = 500
+"""Points of a piece that its stand is judged from."""
 HULL_POINTS = 5_000
 """Points of the table that its hull is taken from."""
 
@@ -34,7 +40,7 @@ def segment(
         pieces = connected_pieces(*joined, measured & (height > config.segment_height))
         table = connected_pieces(*joined, np.abs(height) < support.threshold)
         keep = _large_enough(pieces, depth, camera, config)
-        keep &= _stands_on_table(pieces, keep, table, points, height, support, config)
+        keep &= _stands_on_table(pieces, keep, table, points, height, support, camera, config)
     keep[0] = False
     number = np.where(keep, np.cumsum(keep), 0).astype(np.uint16)
     return number[pieces]
@@ -55,9 +61,14 @@ def _stands_on_table(
     points: np.ndarray,
     height: np.ndarray,
     support: SupportPlane,
+    camera: Camera,
     config: PerceptionConfig,
 ) -> np.ndarray:
-    """Which candidate pieces (P,) begin near the table and have their middle over its visible part."""
+    """Which candidate pieces (P,) begin near the table and stand on or beside its visible part.
+
+    A tall object at the table's end hides the table under it, so the hull of what is seen is not
+    the limit: the limit is where the camera looks through the plane.
+    """
     import cv2
 
     count = np.bincount(table.reshape(-1))
@@ -76,8 +87,30 @@ def _stands_on_table(
         if piece == 0:
             continue
         mine = order[begin[piece] : begin[piece + 1]]
-        lowest = np.quantile(heights[mine], 0.02)
-        middle = np.median(flat[mine] @ axes.T, axis=0)
+        mine = mine[:: 1 + len(mine) // PIECE_POINTS]
+        along = flat[mine] @ axes.T
+        middle = np.median(along, axis=0)
         inside = cv2.pointPolygonTest(hull, (float(middle[0]), float(middle[1])), True)
-        stands[piece] = lowest < config.segment_float and inside > -HULL_MARGIN
+        stands[piece] = (
+            np.quantile(heights[mine], 0.02) < config.segment_float
+            and np.linalg.norm(np.ptp(np.quantile(along, [0.02, 0.98], axis=0), axis=0)) < LARGEST_EXTENT
+            and inside > -HULL_MARGIN
+            and (
+                inside > 0 or _seen_through(flat[mine], heights[mine], points, support, camera) < SEEN_THROUGH
+            )
+        )
     return stands
+
+
+def _seen_through(
+    own: np.ndarray, height: np.ndarray, points: np.ndarray, support: SupportPlane, camera: Camera
+) -> float:
+    """Share of a piece's feet on the plane where the camera measured something under the plane."""
+    feet = own - height[:, None] * support.normal.astype(np.float32)
+    uv, z = camera.project(feet)
+    seen = (z > 0) & (uv > -0.5).all(1) & (uv < np.array([camera.width, camera.height]) - 0.5).all(1)
+    if not seen.any():
+        return 0.0
+    column, row = np.rint(uv[seen]).astype(int).T
+    under = points[row, column] @ support.normal + support.offset < -2 * support.threshold
+    return float(under.mean())
