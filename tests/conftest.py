@@ -88,7 +88,8 @@ def make_tabletop(
     """Ray-cast a table (lengths along x and y [m], 2 cm thick) with shapes on it.
 
     size: image width and height [px]. noise: standard deviation of depth at 1 m [m], growing with its square.
-    background: unlabelled shapes: walls, floors. The seed drives the noise.
+    background: unlabelled shapes: walls, floors. Without shapes the frame has no labels. The seed
+    drives the noise.
     """
     import open3d as o3d
 
@@ -114,7 +115,7 @@ def make_tabletop(
     noisy = depth + (noise * depth**2 * generator.standard_normal(depth.shape)).astype(np.float32)
     rgb = np.full((size[1], size[0], 3), 128, np.uint8)
     names = {index + 1: f"{shape.kind}_{index + 1}" for index, shape in enumerate(shapes)}
-    frame = Frame(noisy, camera, rgb, labels, names, "synthetic tabletop")
+    frame = Frame(noisy, camera, rgb, labels if shapes else None, names, "synthetic tabletop")
     return Tabletop(frame, shapes, depth, labels, scene)
 
 
