@@ -1,0 +1,95 @@
+"""The overview: sizes, what each panel shows, and that the slice lies where it says."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from PIL import Image
+from solids import BALL, BALL_RADIUS, reconstructed_tabletop, true_meshes
+
+from perception.camera import invert_rigid, transform
+from perception.observation import Skipped
+from reconstruction.overview import WIDTH, compose_overview, draw_overview
+from reconstruction.palette import object_colour, uncertainty_colours
+from reconstruction.slices import SliceConfig, slice_uncertainty, table_axes
+
+
+@pytest.fixture(scope="module")
+def reconstruction():
+    return reconstructed_tabletop()
+
+
+def test_picture_is_written_whole_and_holds_the_objects_colours(reconstruction, tmp_path):
+    path = tmp_path / "overview.png"
+    draw_overview(reconstruction, path, true_meshes())
+    picture = np.asarray(Image.open(path))
+    assert picture.shape[1] == WIDTH
+    assert 700 < picture.shape[0] < 1200
+    assert [p.name for p in tmp_path.iterdir()] == ["overview.png"]
+    for item in reconstruction.objects:  # the legend shows each colour unshaded
+        assert (picture == object_colour(item.class_index - 1)).all(axis=2).sum() > 100
+
+
+def test_photo_shows_depth_where_there_is_no_colour_image(reconstruction):
+    grey = dataclasses.replace(reconstruction, frame=dataclasses.replace(reconstruction.frame, rgb=None))
+    a, b = np.asarray(compose_overview(reconstruction)), np.asarray(compose_overview(grey))
+    third = WIDTH // 3
+    assert (a[:400, :third] != b[:400, :third]).any()
+    assert (a[:, third + 20 :] == b[:, third + 20 :]).all()
+
+
+def test_skipped_objects_and_hostile_names_are_drawn(reconstruction):
+    objects = tuple(
+        dataclasses.replace(item, name="\x00名前/../" + "x" * 300) for item in reconstruction.objects
+    )
+    odd = dataclasses.replace(
+        reconstruction, objects=objects, skipped=(Skipped(9, "tiny", "12 valid pixels, 30 needed"),)
+    )
+    plain, with_skipped = compose_overview(reconstruction), compose_overview(odd)
+    assert with_skipped.height > plain.height
+
+
+def test_slice_agrees_with_the_map_at_the_places_it_names(reconstruction):
+    section = slice_uncertainty(reconstruction, SliceConfig(columns=40))
+    for row, column in ((0, 0), (10, 25), (section.values.shape[0] - 1, 39)):
+        world = section.origin + row * section.down + column * section.right
+        assert section.values[row, column] == pytest.approx(
+            reconstruction.query(world[None]).uncertainty[0], abs=1e-4
+        )
+
+
+def test_slice_is_horizontal_at_its_height_with_the_far_side_on_top(reconstruction):
+    section = slice_uncertainty(reconstruction, SliceConfig(columns=40))
+    table = transform(invert_rigid(reconstruction.T_world_table), section.corners)
+    np.testing.assert_allclose(table[:, 2], section.height, atol=1e-6)
+    assert np.linalg.norm(section.down) == pytest.approx(section.spacing)
+    eye = reconstruction.frame.camera.T_world_camera[:3, 3]
+    assert np.linalg.norm(section.corners[0] - eye) > np.linalg.norm(section.corners[3] - eye)
+
+
+def test_outline_of_a_ball_is_the_circle_of_that_height(reconstruction):
+    section = slice_uncertainty(reconstruction, SliceConfig(columns=60))
+    ball = true_meshes()[BALL]
+    segments = section.outline(ball)
+    world = section.origin + segments[..., :1] * section.right + segments[..., 1:] * section.down
+    np.testing.assert_allclose(np.linalg.norm(world - ball.bounds.mean(0), axis=2), BALL_RADIUS, atol=0.001)
+    assert len(segments) > 20
+
+
+def test_without_a_support_plane_up_is_the_cameras(reconstruction):
+    observation = dataclasses.replace(reconstruction.observation, support=None)
+    camera_frame = dataclasses.replace(
+        reconstruction, observation=observation, T_world_table=reconstruction.frame.camera.T_world_camera
+    )
+    R = reconstruction.frame.camera.T_world_camera[:3, :3]
+    np.testing.assert_allclose(table_axes(camera_frame), [R[:, 2], -R[:, 0], -R[:, 1]])
+
+
+def test_uncertainty_colours_grow_lighter_and_clip():
+    colours = uncertainty_colours(np.array([-1.0, 0.0, 0.3, 0.6, 1.0, 2.0])).astype(int)
+    luma = colours @ [0.3, 0.59, 0.11]
+    assert (colours[0] == colours[1]).all()
+    assert (colours[-1] == colours[-2]).all()
+    assert (np.diff(luma[1:5]) > 20).all()

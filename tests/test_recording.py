@@ -1,0 +1,132 @@
+"""Recordings are read back: every entity is there with the run's numbers, and rerun accepts the file."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from solids import KEYS, reconstructed_tabletop, true_meshes
+
+from mapping.errors import DataError
+from reconstruction.recording import record
+from reconstruction.result_folder import RECORDING, save_reconstruction
+from tools.view import find_recording, view
+
+pytest.importorskip("rerun", reason="recordings need the viz extra")
+
+
+@pytest.fixture(scope="module")
+def reconstruction():
+    return reconstructed_tabletop()
+
+
+@pytest.fixture(scope="module")
+def recording(reconstruction, tmp_path_factory):
+    path = tmp_path_factory.mktemp("recording") / "run.rrd"
+    record(reconstruction, path, true_meshes())
+    return path
+
+
+@pytest.fixture(scope="module")
+def chunks(recording):
+    from rerun.chunk import RrdReader
+
+    return list(RrdReader(recording).stream())
+
+
+def column(chunks, entity, component):
+    """The first row of one component as numpy, read from the file."""
+    for chunk in chunks:
+        batch = chunk.to_record_batch()
+        if chunk.entity_path == entity and component in batch.schema.names:
+            return batch.column(component)[0].values.to_numpy(zero_copy_only=False)
+    raise AssertionError(f"{entity} has no {component}")
+
+
+def test_every_documented_entity_is_there(chunks, reconstruction):
+    found = {chunk.entity_path for chunk in chunks}
+    wanted = {
+        "/world",
+        "/world/camera",
+        "/world/cloud",
+        "/world/table",
+        "/world/table/hinges",
+        "/world/slice",
+    }
+    wanted |= {f"/world/camera/{image}" for image in ("rgb", "depth", "labels")}
+    wanted |= {f"/world/table/samples/{name}" for name in ("empty", "uncertain", *KEYS)}
+    wanted |= {f"/world/{group}/{key}" for group in ("meshes", "uncertainty") for key in KEYS}
+    wanted |= {f"/world/truth/{label}" for label in true_meshes()}
+    assert wanted <= found
+
+
+def test_losses_lie_on_their_own_timeline(chunks, reconstruction):
+    chunk = next(c for c in chunks if c.entity_path == "/fit/loss" and "step" in c.timeline_names)
+    batch = chunk.to_record_batch()
+    losses = [row.as_py()[0] for row in batch.column("Scalars:scalars")]
+    np.testing.assert_allclose(losses, reconstruction.map.report.losses)
+    assert batch.column("step").to_pylist() == list(range(len(losses)))
+
+
+def test_meshes_and_hinges_are_the_results(chunks, reconstruction):
+    item = reconstruction.objects[0]
+    stored = column(chunks, f"/world/meshes/{item.label}_{item.name}", "Mesh3D:vertex_positions")
+    np.testing.assert_allclose(np.stack(list(stored)), item.mesh.vertices, atol=1e-6)
+    hinges = column(chunks, "/world/table/hinges", "Points3D:positions")
+    np.testing.assert_allclose(np.stack(list(hinges)), reconstruction.map.hinges, atol=1e-6)
+
+
+def test_every_sample_is_logged_once(chunks, reconstruction):
+    entities = {c.entity_path for c in chunks if c.entity_path.startswith("/world/table/samples/")}
+    counts = [len(column(chunks, entity, "Points3D:positions")) for entity in entities]
+    assert sum(counts) == len(reconstruction.samples)
+
+
+def test_a_blueprint_is_stored_in_the_same_file(recording):
+    from rerun.chunk import RrdReader
+
+    reader = RrdReader(recording)
+    assert len(reader.recordings()) == 1
+    assert len(reader.blueprints()) == 1
+    views = list(reader.stream(store=reader.blueprints()[0]))
+    assert sum(chunk.entity_path.startswith("/view/") for chunk in views) >= 8
+
+
+def test_rerun_verifies_the_file(recording):
+    done = subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", "verify", str(recording)], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_folder_that_does_not_exist_is_one_clear_error(reconstruction, tmp_path):
+    with pytest.raises(DataError, match="does its folder exist"):
+        record(reconstruction, tmp_path / "nowhere" / "run.rrd")
+
+
+def test_view_without_display_says_what_to_type(reconstruction, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    result = save_reconstruction(reconstruction, tmp_path / "result", recording=True)
+    view(result)
+    told = capsys.readouterr().out
+    assert str(result / RECORDING) in told
+    assert "rerun recording.rrd" in told
+
+
+def test_view_builds_a_recording_from_meshes_when_there_is_none(reconstruction, tmp_path):
+    from rerun.chunk import RrdReader
+
+    result = save_reconstruction(reconstruction, tmp_path / "result")
+    assert not (result / RECORDING).exists()
+    recording = find_recording(result)
+    found = {chunk.entity_path for chunk in RrdReader(recording).stream()}
+    assert {f"/world/uncertainty/{KEYS[0]}", f"/world/meshes/{KEYS[0]}", "/summary"} <= found
+
+
+def test_view_of_something_else_is_a_clear_error(tmp_path):
+    with pytest.raises(DataError, match="not a result folder"):
+        view(tmp_path)

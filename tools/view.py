@@ -1,0 +1,66 @@
+"""`contramap view RESULT`: open a result in the rerun viewer, or say how to where there is no display."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from mapping.errors import ConfigError, DataError
+from reconstruction.result_folder import RECORDING, load_result
+
+
+def view(result: Path) -> None:
+    """Open a result folder's recording, made from its meshes when the run was not recorded.
+
+    result: a result folder, or a recording (.rrd). Without a display it prints the recording's path and what
+    to type where there is one. Raises DataError when it is neither, ConfigError when rerun is not installed.
+    """
+    recording = find_recording(Path(result))
+    print(f"recording: {recording}")
+    command = [*_viewer(), str(recording)]
+    if not has_display():
+        print("There is no display here. Copy the recording to a machine with one and run:")
+        print(f"  rerun {shlex.quote(recording.name)}")
+        print("or serve it from here to a web browser:")
+        print(f"  {shlex.join([*command, '--serve-web'])}")
+        return
+    # The viewer outlives this command; its log would only clutter the terminal.
+    subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+
+
+def find_recording(result: Path) -> Path:
+    """The recording of a result; written beside the meshes, or to a temporary folder if that is read-only."""
+    if result.is_file() and result.suffix == ".rrd":
+        return result
+    recording = result / RECORDING
+    if recording.is_file():
+        return recording
+    stored = load_result(result)
+    from reconstruction.recording import record_stored
+
+    try:
+        record_stored(stored, recording)
+    except DataError:
+        recording = Path(tempfile.mkdtemp(prefix="contramap_view_")) / RECORDING
+        record_stored(stored, recording)
+    return recording
+
+
+def has_display() -> bool:
+    """Whether a window can be opened here."""
+    if sys.platform.startswith("linux"):
+        return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    return True
+
+
+def _viewer() -> list[str]:
+    """The command of the viewer that belongs to this Python, on PATH or not."""
+    from importlib.util import find_spec
+
+    if find_spec("rerun") is None:
+        raise ConfigError("the viewer needs rerun: pip install 'contramap[viz]'")
+    return [sys.executable, "-m", "rerun"]
