@@ -8,6 +8,7 @@ from perception.camera import Camera
 from perception.clusters import main_clusters
 from perception.config import PerceptionConfig
 from perception.depth_edges import border_pairs, connected_pieces, depth_jump
+from perception.grouping import group_by_label
 from perception.observation import SupportPlane
 
 OPEN_SHARE = 0.15
@@ -51,10 +52,9 @@ def _on_table(
     height = own @ support.normal.astype(np.float32) + np.float32(support.offset)
     noise = np.float32(config.depth_noise) * own[:, 2] ** 2
     limit = np.maximum(np.float32(config.table_margin), 1.5 * noise)
-    for name in np.unique(label):
-        mine = label == name
+    for _, mine in group_by_label(label):
         # Nearly all of a plate or a knife lies within the noise of the table: only what is below can go.
-        if np.quantile(height[mine], 0.95) < config.flat_height:
+        if np.quantile(height[mine[:: 1 + len(mine) // 2000]], 0.95) < config.flat_height:
             limit[mine] = -noise[mine]
     low = height < limit
     if low.any():
@@ -76,11 +76,18 @@ def _enclosed(
     The object surrounds them and runs on into them without a jump. The table seen through
     a handle is surrounded too, but behind a jump.
     """
-    raw, depth = labels.reshape(-1), points[..., 2].reshape(-1)
     mask = np.zeros(labels.shape, bool)
     mask.reshape(-1)[pixels[bottom]] = True
-    same_right, same_down = labels[:, 1:] == labels[:, :-1], labels[1:] == labels[:-1]
-    region = connected_pieces(same_right, same_down, mask)
+    # Only the part of the image with such pixels is looked at, and one pixel around it.
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    part = (
+        slice(max(0, rows[0] - 1), rows[-1] + 2),
+        slice(max(0, columns[0] - 1), columns[-1] + 2),
+    )
+    raw, depth = labels[part].reshape(-1), points[part][..., 2].reshape(-1)
+    same_right = labels[part][:, 1:] == labels[part][:, :-1]
+    same_down = labels[part][1:] == labels[part][:-1]
+    region = connected_pieces(same_right, same_down, mask[part])
     inner, outer = border_pairs(region)
     of = region.reshape(-1)[inner]
     outside = raw[inner] != raw[outer]
@@ -90,4 +97,5 @@ def _enclosed(
     inside = (np.bincount(of, weights=outside, minlength=count) <= OPEN_SHARE * total) & (
         np.bincount(of, weights=joined, minlength=count) >= JOINED_SHARE * total
     )
-    return inside[region.reshape(-1)[pixels]]
+    mask[part] = inside[region]
+    return mask.reshape(-1)[pixels]

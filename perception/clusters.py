@@ -7,6 +7,7 @@ import numpy as np
 from perception.camera import Camera
 from perception.config import PerceptionConfig
 from perception.depth_edges import border_pairs, depth_jump
+from perception.grouping import group_by_label
 from perception.observation import SupportPlane
 
 NEIGHBOUR_VOXELS = 1.75
@@ -77,27 +78,35 @@ def _euclidean_clusters(
 
     # Far away, pixels and noise spread wider than the gap asked for, so the voxel grows with depth.
     pitch = 3.0 / min(camera.K[0, 0], camera.K[1, 1])
-    voxel_size = np.ones(int(label.max()) + 1, np.float32)
-    for name in np.unique(label):
-        z = float(np.median(points[label == name, 2]))
-        voxel_size[name] = max(config.cluster_gap / 1.5, pitch * z, 2 * config.depth_noise * z * z)
-    cell = np.floor(points / voxel_size[label][:, None]).astype(np.int64)
-    cell -= cell.min(0)
-    extent = cell.max(0) + 1
-    key = ((label.astype(np.int64) * extent[0] + cell[:, 0]) * extent[1] + cell[:, 1]) * extent[2] + cell[
-        :, 2
-    ]
-    _, first, voxel = np.unique(key, return_index=True, return_inverse=True)
+    scale = np.empty(len(points), np.float32)
+    group = np.empty(len(points), np.int64)
+    for number, (_, mine) in enumerate(group_by_label(label)):
+        z = float(np.median(points[mine[:: 1 + len(mine) // 1000], 2]))
+        scale[mine] = 1 / max(config.cluster_gap / 1.5, pitch * z, 2 * config.depth_noise * z * z)
+        group[mine] = number
+    key = group
+    cells = []
+    for column in points.T:
+        cell = np.floor(column * scale).astype(np.int64)
+        cell -= cell.min()
+        key = key * (cell.max() + 1) + cell
+        cells.append(cell)
+    # Neighbours in a row mostly share their voxel; with one of each run there is little left to sort.
+    starts = np.concatenate([[True], key[1:] != key[:-1]])
+    head = np.flatnonzero(starts)
+    _, first, voxel = np.unique(key[head], return_index=True, return_inverse=True)
+    first = head[first]
     # Labels are set far apart along a fourth axis, so that one tree serves all of them.
-    centre = np.column_stack([cell[first], 10.0 * label[first]])
+    centre = np.column_stack([*(cell[first] for cell in cells), 10.0 * group[first]])
     pairs = cKDTree(centre).query_pairs(NEIGHBOUR_VOXELS, output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(first),) * 2)
-    number = connected_components(graph, directed=False)[1][voxel.reshape(-1)]
+    number_of = connected_components(graph, directed=False)[1]
     # Renumbered in the order met in the image, which does not depend on the labels' values.
-    _, met, number = np.unique(number, return_index=True, return_inverse=True)
+    met = np.full(number_of.max() + 1, len(points), np.int64)
+    np.minimum.at(met, number_of, first)
     order = np.empty(len(met), np.int64)
     order[np.argsort(met)] = np.arange(len(met))
-    return order[number.reshape(-1)]
+    return order[number_of][voxel.reshape(-1)][np.cumsum(starts) - 1]
 
 
 def _leak_share(

@@ -67,7 +67,7 @@ def border_pairs(region: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     height, width = region.shape
     flat = region.reshape(-1)
-    pixels = np.flatnonzero(flat)
+    pixels = np.flatnonzero(flat > 0)
     column = pixels % width
     inner, outer = [], []
     for step, inside in (

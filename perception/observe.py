@@ -10,6 +10,7 @@ from perception.cleaning import clean_labels
 from perception.config import PerceptionConfig
 from perception.depth_edges import remove_flying_pixels
 from perception.frame import Frame
+from perception.grouping import group_by_label
 from perception.observation import Observation, ObservedObject, Skipped, SupportPlane
 from perception.segmentation import segment
 from perception.support_plane import find_support_plane
@@ -69,26 +70,20 @@ def _split_objects(
 ) -> tuple[list[tuple[int, np.ndarray, int]], list[Skipped]]:
     """(label, pixels, labelled count) of each object and the skipped ones, in the order of the raw image."""
     raw, clean = labels.reshape(-1), cleaned.reshape(-1)
-    labelled_pixels = np.flatnonzero(raw)
-    of = raw[labelled_pixels]
-    counts = np.bincount(of)
-    first = np.full(len(counts), len(raw), np.int64)
-    first[of[::-1]] = labelled_pixels[::-1]  # the last write wins: the first pixel of each label
-    kept = np.flatnonzero(clean)
-    kept = kept[np.argsort(clean[kept], kind="stable")]
-    begin = np.searchsorted(clean[kept], np.arange(len(counts) + 1))
+    labelled = np.flatnonzero(raw > 0)
+    kept = np.flatnonzero(clean > 0)
+    pixels_of = {label: kept[group] for label, group in group_by_label(clean[kept])}
     found, skipped = [], []
-    present = np.flatnonzero(counts)
-    for label in present[np.argsort(first[present])].tolist():
-        pixels = kept[begin[label] : begin[label + 1]]
+    for label, group in group_by_label(raw[labelled]):
+        pixels = pixels_of.get(label, kept[:0])
         if len(pixels) < config.minimum_pixels:
             reason = (
-                f"{len(pixels)} valid pixels of {counts[label]} labelled, "
+                f"{len(pixels)} valid pixels of {len(group)} labelled, "
                 f"at least {config.minimum_pixels} are needed"
             )
             skipped.append(Skipped(label, frame.name_of(label), reason))
         else:
-            found.append((label, pixels, int(counts[label])))
+            found.append((label, pixels, len(group)))
     return found, skipped
 
 
@@ -103,7 +98,7 @@ def _table_frame(support: SupportPlane | None, points: np.ndarray) -> np.ndarray
         # Looking straight down, the image's upward direction is "away", as it is for any tilted camera.
         x = np.array([0.0, -1.0, 0.0]) + z[1] * z
     x /= np.linalg.norm(x)
-    centroid = points.mean(0, dtype=np.float64)
+    centroid = np.array([column.mean(dtype=np.float64) for column in points.T])
     origin = centroid - (z @ centroid + support.offset) * z
     T[:3, :3] = np.stack([x, np.cross(z, x), z])
     T[:3, 3] = -T[:3, :3] @ origin

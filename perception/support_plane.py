@@ -9,11 +9,12 @@ from __future__ import annotations
 import numpy as np
 
 from perception.config import PerceptionConfig
+from perception.grouping import group_by_label
 from perception.observation import SupportPlane
 
 REST_LENGTH = 0.05
 """How fast a plane loses credit with the gap between it and the objects' lowest points [m]."""
-FIT_POINTS = 20_000
+FIT_POINTS = 12_000
 """Points used by the least-squares refinement and the inlier ratio."""
 MINIMUM_SPREAD = 0.015
 """Standard deviation of the inliers along the plane's narrow direction below which it is a sliver [m]."""
@@ -73,10 +74,7 @@ def _object_points(
     if labels is None or objects.size == 0:
         return []
     objects = _thin(objects, FIT_POINTS, rng)
-    of = labels.reshape(-1)[objects]
-    found, first = np.unique(of, return_index=True)
-    # Image order, not label order: renumbering labels must not change a single bit of the result.
-    return [flat[objects[of == label]] for label in found[np.argsort(first)]]
+    return [flat[objects[group]] for _, group in group_by_label(labels.reshape(-1)[objects])]
 
 
 def _near_objects(around: np.ndarray, groups: list[np.ndarray], reach: float) -> np.ndarray:
@@ -84,9 +82,13 @@ def _near_objects(around: np.ndarray, groups: list[np.ndarray], reach: float) ->
     if not groups:
         return around
     near = np.zeros(len(around), bool)
+    columns = np.ascontiguousarray(around.T)
     for group in groups:
         low, high = np.quantile(group, [0.1, 0.9], axis=0)
-        near |= ((around > low - reach) & (around < high + reach)).all(1)
+        inside = np.ones(len(around), bool)
+        for column, least, most in zip(columns, low - reach, high + reach, strict=True):
+            inside &= (column > least) & (column < most)
+        near |= inside
     return around[near]
 
 
