@@ -1,7 +1,7 @@
-"""Collision shapes: a mesh as a few convex parts (coacd), cached by the mesh's content.
+"""Collision shapes: a mesh as a few convex parts (V-HACD), cached by the mesh's content.
 
-coacd runs in a process of its own: it can be stopped when it takes too long, several run side by side, and its
-library and open3d's cannot be loaded into one process in either order.
+V-HACD works on voxels: a second or two for a scan, whatever its triangles look like. It runs in a process of its
+own, so that it can be stopped, several run side by side, and what it prints does not reach the user.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from scipy.spatial import QhullError
 
 from sim_scenes.cache import cache_dir
 from sim_scenes.object_model import ObjectModel
@@ -27,12 +28,14 @@ from sim_scenes.object_model import ObjectModel
 class ConvexConfig:
     """How finely a mesh is cut into convex parts for physics."""
 
-    faces: int = 1000
-    """Triangles left by simplification before cutting."""
-    threshold: float = 0.06
+    faces: int = 3000
+    """Triangles left by simplification before cutting; fewer tear the rims of plates."""
+    voxels: int = 50_000
+    """Voxels the object is cut on."""
+    concavity: float = 0.002
     """Largest concavity of a part, relative to the object's size; small enough to keep cups hollow."""
-    parts: int = 24
-    """Most convex parts an object is cut into."""
+    convex_above: float = 0.97
+    """Objects that fill more than this share of their convex hull are taken as convex."""
     time_limit_s: float = 60.0
     """Seconds after which an object falls back to its convex hull."""
 
@@ -79,25 +82,50 @@ def _cached_path(model: ObjectModel, config: ConvexConfig) -> Path:
 def _decompose(mesh: trimesh.Trimesh, config: ConvexConfig) -> list[np.ndarray]:
     """Vertices (N, 3) of each convex part."""
     hull = mesh.convex_hull
-    if mesh.volume > 0.97 * hull.volume:  # convex already: balls, boxes, cans
+    if mesh.volume > config.convex_above * hull.volume:
         return [np.asarray(hull.vertices)]
-    simple = _simplify(mesh, config.faces)
     with tempfile.TemporaryDirectory() as folder:
-        given, found = Path(folder) / "mesh.npz", Path(folder) / "parts.npz"
-        np.savez(given, vertices=simple.vertices, faces=simple.faces)
+        given, found = Path(folder) / "mesh.obj", Path(folder) / "parts.obj"
+        _simplify(mesh, config.faces).export(given)
         repository = str(Path(__file__).resolve().parent.parent)
-        command = [sys.executable, "-m", "sim_scenes.convex_parts", given, found]
-        command += [str(config.threshold), str(config.parts)]
+        command = [sys.executable, "-m", "sim_scenes.convex_parts", str(given), str(found)]
+        command += [str(config.voxels), str(config.concavity)]
         environment = {**os.environ, "OMP_NUM_THREADS": "1"}
         environment["PYTHONPATH"] = os.pathsep.join([repository, os.environ.get("PYTHONPATH", "")])
         try:
             subprocess.run(
                 command, env=environment, timeout=config.time_limit_s, check=True, capture_output=True
             )
-        except (subprocess.TimeoutExpired, subprocess.CalledProcessError):
-            return [np.asarray(hull.vertices)]
-        with np.load(found) as parts:
-            return [parts[key] for key in sorted(parts.files)]
+            parts = _read_parts(found)
+        except (subprocess.TimeoutExpired, subprocess.CalledProcessError, OSError):
+            parts = []
+    return [_pull_inside(part, mesh) for part in parts] or [np.asarray(hull.vertices)]
+
+
+def _pull_inside(points: np.ndarray, mesh: trimesh.Trimesh) -> np.ndarray:
+    """Points (N, 3) with those outside the mesh moved onto it: voxels stick out, and objects would float."""
+    import open3d
+
+    scene = open3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        open3d.core.Tensor(np.asarray(mesh.vertices, np.float32)),
+        open3d.core.Tensor(np.asarray(mesh.faces, np.uint32)),
+    )
+    query = open3d.core.Tensor(points.astype(np.float32))
+    outside = scene.compute_signed_distance(query).numpy() > 0
+    nearest = scene.compute_closest_points(query)["points"].numpy()
+    return np.where(outside[:, None], nearest, points)
+
+
+def _read_parts(path: Path) -> list[np.ndarray]:
+    """Vertices of each group of an OBJ file; parts without volume are left out."""
+    groups: list[list[list[float]]] = []
+    for line in path.read_text().splitlines():
+        if line.startswith("o "):
+            groups.append([])
+        elif line.startswith("v "):
+            groups[-1].append([float(value) for value in line.split()[1:4]])
+    return [np.array(group) for group in groups if len(group) >= 4]
 
 
 def _simplify(mesh: trimesh.Trimesh, faces: int) -> trimesh.Trimesh:
@@ -117,7 +145,10 @@ def _as_obj(parts: list[np.ndarray]) -> str:
     lines: list[str] = []
     offset = 1
     for index, points in enumerate(parts):
-        hull = trimesh.convex.convex_hull(points)
+        try:
+            hull = trimesh.convex.convex_hull(points)
+        except QhullError:  # flat after it was pulled inside: holds nothing
+            continue
         lines.append(f"o part_{index}")
         lines += [f"v {x:.7f} {y:.7f} {z:.7f}" for x, y, z in hull.vertices]
         lines += [f"f {a} {b} {c}" for a, b, c in np.asarray(hull.faces) + offset]
@@ -125,25 +156,20 @@ def _as_obj(parts: list[np.ndarray]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _cut(given: str, found: str, threshold: float, parts: int) -> None:
-    """Runs in the child process: coacd on the mesh in `given`, the parts to `found`."""
-    import coacd
+def _cut(given: str, found: str, voxels: int, concavity: float) -> None:
+    """Runs in the child process: V-HACD on the mesh in `given`, the parts to `found`."""
+    import pybullet
 
-    coacd.set_log_level("error")
-    mesh = np.load(given)
-    cut = coacd.run_coacd(
-        coacd.Mesh(mesh["vertices"], mesh["faces"]),
-        threshold=threshold,
-        max_convex_hull=parts,
-        preprocess_mode="auto",
-        preprocess_resolution=30,
-        resolution=500,
-        mcts_iterations=20,
-        mcts_nodes=8,
-        mcts_max_depth=2,
+    pybullet.vhacd(
+        given,
+        found,
+        os.path.join(os.path.dirname(found), "log.txt"),
+        resolution=voxels,
+        concavity=concavity,
+        maxNumVerticesPerCH=32,
+        minVolumePerCH=0.0001,
     )
-    np.savez(found, **{f"{index:04d}": vertices for index, (vertices, _) in enumerate(cut)})
 
 
 if __name__ == "__main__":
-    _cut(sys.argv[1], sys.argv[2], float(sys.argv[3]), int(sys.argv[4]))
+    _cut(sys.argv[1], sys.argv[2], int(sys.argv[3]), float(sys.argv[4]))

@@ -28,8 +28,8 @@ DEPTH_SCALE = 1e-4
 """Metres per unit of depth.png: fine enough that the file adds no error that matters."""
 MIN_VISIBLE_PIXELS = 200
 """Objects that show less in the first view are taken off the table before the scene is kept."""
-LOOK_AT = np.array([0.0, 0.0, 0.04])
-"""Point [m] the cameras look at."""
+LOOK_AT_HEIGHT = 0.04
+"""Height [m] of the point the cameras look at."""
 ATTEMPTS = 20
 """Tries to compose a scene with enough objects before giving up."""
 
@@ -97,22 +97,22 @@ def generate(
     }
     folders = [Path(out) / f"scene_{index:04d}" for index in range(count)]
     todo = [index for index, folder in enumerate(folders) if not _finished(folder, settings)]
-    if todo and source.ycb_dir is not None:
-        names = ycb.list_models(source.ycb_dir)
-        build_all([ycb.load_ycb(source.ycb_dir, name) for name in names], progress=progress)
     for index in tqdm(todo, desc="scenes", disable=not progress):
         rng = np.random.default_rng([seed, index])
-        make_scene(folders[index], source, rng, settings)
+        make_scene(folders[index], source, rng, settings, progress)
     return folders
 
 
 def make_scene(
-    folder: Path, source: ObjectSource, rng: np.random.Generator, settings: dict[str, Any]
+    folder: Path,
+    source: ObjectSource,
+    rng: np.random.Generator,
+    settings: dict[str, Any],
+    progress: bool = False,
 ) -> None:
     """Compose, settle, render and write one scene; the folder appears only when it is complete."""
     config = TabletopConfig()
-    cameras = random_cameras(settings["views"], LOOK_AT, rng)
-    placed = compose(source, cameras[0], rng, config)
+    placed, cameras = compose(source, settings["views"], rng, config, progress)
     surroundings = Surroundings.random(config.table_size_m, rng)
     renderer = Renderer(placed, surroundings)
     temporary = folder.with_name(folder.name + f".{os.getpid()}.tmp")
@@ -138,24 +138,40 @@ def make_scene(
 
 
 def compose(
-    source: ObjectSource, camera: Camera, rng: np.random.Generator, config: TabletopConfig
-) -> list[PlacedObject]:
-    """Objects at rest on a table that all show in the camera; at least the fewest `config` asks for."""
+    source: ObjectSource,
+    views: int,
+    rng: np.random.Generator,
+    config: TabletopConfig,
+    progress: bool = False,
+) -> tuple[list[PlacedObject], list[Camera]]:
+    """Objects at rest on a table that all show in the first camera, and the cameras around them."""
+    fewest, most = config.objects
     for _ in range(ATTEMPTS):
-        models = source.draw(int(rng.integers(config.objects[0], config.objects[1] + 1)), rng)
+        models = source.draw(int(rng.integers(fewest, most + 1)), rng)
+        build_all(models, progress=progress)
         with Tabletop(config) as table:
             table.drop(models, rng)
+            if not table.placed():
+                continue
+            cameras = random_cameras(views, _middle(table.placed()), rng)
             while placed := table.placed():
-                hidden = _hidden(placed, camera)
+                hidden = _hidden(placed, cameras[0])
                 if not hidden:
                     break
                 table.remove(hidden)  # others may move then, so look again
-        if len(placed) >= config.objects[0]:
-            return placed
+        if len(placed) >= fewest:
+            return placed, cameras
     raise DataError(
-        f"no scene with {config.objects[0]} visible objects in {ATTEMPTS} tries; the objects may be too "
-        "small, or roll off the table"
+        f"no scene with {fewest} visible objects in {ATTEMPTS} tries; the objects may be too small, "
+        "or roll off the table"
     )
+
+
+def _middle(placed: Sequence[PlacedObject]) -> np.ndarray:
+    """(3,) point [m] in the middle of the objects, a little above the table: what the cameras look at."""
+    centers = np.array([item.T_world_object[:3] @ [*item.model.center_of_mass, 1.0] for item in placed])
+    middle = (centers.min(axis=0) + centers.max(axis=0)) / 2
+    return np.array([middle[0], middle[1], LOOK_AT_HEIGHT])
 
 
 def _hidden(placed: Sequence[PlacedObject], camera: Camera) -> list[int]:

@@ -11,6 +11,8 @@ LIGHT_POSITION = np.array([0.7, -0.9, 1.8], np.float32)
 """Centre of the lamp [m]."""
 LIGHT_RADIUS = 0.35
 """Radius [m] of the lamp: the larger, the softer the shadows."""
+LIGHT_REACH = 2.1
+"""Distance [m] at which the lamp shines with its nominal strength."""
 SKY_REACH = 0.12
 """Surfaces within this distance [m] keep sky light from each other."""
 SAMPLES = 4
@@ -36,28 +38,33 @@ def shade(scene: Any, surface: Surface, rng: np.random.Generator, coarse: int) -
     positions, normals = surface.positions[sample], surface.normals[sample]
     lit = _visible(scene, positions, normals, _lamp_points(positions.shape[:2], rng) - positions[None])
     open_sky = _visible(scene, positions, normals, SKY_REACH * _hemisphere(normals, rng))
-    fine = (surface.hit.shape[1], surface.hit.shape[0])
     # Few rays a pixel are noisy: smooth them, but not across edges in depth or orientation.
     guide = np.concatenate([normals, positions * 8], axis=-1)
-    lit, open_sky = _smooth(lit, guide), _smooth(open_sky, guide)
-    lit = cv2.resize(lit, fine, interpolation=cv2.INTER_LINEAR)
-    open_sky = cv2.resize(open_sky, fine, interpolation=cv2.INTER_LINEAR)
+    shadows = _smooth(np.stack([lit, open_sky], axis=-1), guide)
+    shadows = cv2.resize(shadows, surface.hit.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    lit, open_sky = shadows[..., 0], shadows[..., 1]
 
     to_lamp = LIGHT_POSITION - surface.positions
-    distance = np.linalg.norm(to_lamp, axis=-1, keepdims=True)
-    to_lamp = to_lamp / distance
-    cosine = np.clip((surface.normals * to_lamp).sum(axis=-1), 0, None)
-    falloff = np.clip((2.1 / distance[..., 0]) ** 2, 0, 1.5)
-    sky = (0.5 + 0.5 * surface.normals[..., 2]) * 0.35 + 0.22
-    half = to_lamp - surface.directions / np.linalg.norm(surface.directions, axis=-1, keepdims=True)
-    half /= np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-6)
-    gloss = 0.10 * np.clip((surface.normals * half).sum(axis=-1), 0, 1) ** 40 * lit
-    light = 0.72 * cosine * falloff * lit + sky * (0.35 + 0.65 * open_sky)
-    # Albedo and output are display colours; light adds up in linear ones.
-    linear = np.power(surface.albedo, 2.2) * light[..., None] + gloss[..., None]
-    image = np.power(np.clip(linear, 0, 1), 1 / 2.2)
+    distance = np.sqrt(_dot(to_lamp, to_lamp))
+    to_lamp /= distance[..., None]
+    falloff = np.minimum((LIGHT_REACH / distance) ** 2, 1.5)
+    sky = 0.395 + 0.175 * surface.normals[..., 2]
+    light = 0.72 * np.maximum(_dot(surface.normals, to_lamp), 0) * falloff * lit
+    light += sky * (0.35 + 0.65 * open_sky)
+    half = to_lamp - surface.directions / np.sqrt(_dot(surface.directions, surface.directions))[..., None]
+    half_length = np.maximum(np.sqrt(_dot(half, half)), 1e-6)
+    shine = np.clip(_dot(surface.normals, half) / half_length, 0, 1)
+    for _ in range(5):
+        shine = shine * shine  # to the power of 32
+    # Albedo and output are display colours (taken as squares); light adds up in linear ones.
+    linear = surface.albedo * surface.albedo * light[..., None] + (0.10 * shine * lit)[..., None]
+    image = np.sqrt(np.clip(linear, 0, 1))
     image[~surface.hit] = 0.85
     return image
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.einsum("hwc,hwc->hw", a, b)
 
 
 def _lamp_points(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
@@ -85,15 +92,17 @@ def _visible(scene: Any, positions: np.ndarray, normals: np.ndarray, towards: np
     return 1 - blocked.mean(axis=0, dtype=np.float32)
 
 
-def _smooth(image: np.ndarray, guide: np.ndarray, radius: int = 5, tolerance: float = 0.25) -> np.ndarray:
-    """Mean over neighbours whose guide values (H, W, D) are alike."""
-    from itertools import product
-
-    total = np.zeros_like(image)
-    weight = np.zeros_like(image)
-    for dy, dx in product(range(-radius, radius + 1, 2), repeat=2):
-        shifted = np.roll(guide, (dy, dx), axis=(0, 1))
-        near = np.exp(-((shifted - guide) ** 2).sum(axis=-1) / tolerance**2)
-        total += near * np.roll(image, (dy, dx), axis=(0, 1))
-        weight += near
-    return (total / weight).astype(np.float32)
+def _smooth(image: np.ndarray, guide: np.ndarray, taps: int = 4, tolerance: float = 0.25) -> np.ndarray:
+    """Mean of image (H, W, C) over neighbours whose guide values (H, W, D) are alike, along one axis, then
+    along the other."""
+    for axis in (0, 1):
+        total, weight = image.copy(), np.ones(image.shape[:2], np.float32)
+        for shift in range(-taps, taps + 1):
+            if shift == 0:
+                continue
+            step = np.roll(guide, shift, axis) - guide
+            near = 1 / (1 + (_dot(step, step) / tolerance**2) ** 2)
+            total += near[..., None] * np.roll(image, shift, axis)
+            weight += near
+        image = total / weight[..., None]
+    return image
