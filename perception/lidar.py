@@ -1,4 +1,4 @@
-"""Planar laser logs: read CARMEN files, and turn beams into occupied and free points. 2D, world frame, metres."""
+"""Planar laser logs: read CARMEN files, turn beams into occupied and free points. 2D, world frame, metres."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class BeamConfig:
 
 
 def beam_angles(count: int) -> np.ndarray:
-    """(count,) beam angles [rad]: the first at -90 degrees; an odd count ends at +90, an even one a step before."""
+    """(count,) beam angles [rad] from -90 degrees; an odd count ends at +90, an even one a step before."""
     return np.linspace(-np.pi / 2, np.pi / 2, count, endpoint=bool(count % 2))
 
 
@@ -92,13 +92,14 @@ def occupancy_samples(
     log: LaserLog,
     rng: np.random.Generator,
     scans: np.ndarray | None = None,
-    config: BeamConfig = BeamConfig(),
+    config: BeamConfig | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Labelled points of the scans' beams: one occupied end point each, and free points before it.
 
     Returns points (N, 2) [m] in the world and labels (N,) int64, 0 free and 1 occupied. A beam of length d
     has max(1, int(d / free_step)) free points, uniform on [0, d - free_gap].
     """
+    config = config or BeamConfig()
     poses, ranges = _select(log, scans)
     directions = _directions(poses, log.angles)
     seen = (ranges > config.free_gap) & (ranges <= config.range_max)

@@ -1,10 +1,10 @@
 """Exact Gaussian process classification by Dirichlet regression: the gold standard of the toy experiments.
 
-A label is a Dirichlet observation with concentration 1 + a for its class and a for the others; its logarithm is
-close to normal, with noise that depends on the class only (Milios et al. 2018). So each class is one exact GP
-regression, with one N x N Cholesky factor and no inducing points, and the posterior variance depends on where the
-data lie. A Laplace posterior would not do as a reference: its variance stays near the prior's on confident data.
-RBF kernel s^2 exp(-|x - x'|^2 / (2 l^2)); l and s maximise the marginal likelihood.
+A label is a Dirichlet observation with concentration 1 + a for its class and a for the others; its logarithm
+is close to normal, with noise that depends on the class only (Milios et al. 2018). So each class is one
+exact GP regression, with one N x N Cholesky factor and no inducing points, and the posterior variance depends
+on where the data lie. A Laplace posterior would not do as a reference: its variance stays near the prior's on
+confident data. RBF kernel s^2 exp(-|x - x'|^2 / (2 l^2)); l and s maximise the marginal likelihood.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class GaussianProcessConfig:
 
 
 class GaussianProcess(UncertaintyClassifier):
-    """One exact GP a class; the uncertainty is the posterior variance over the prior's, averaged over classes."""
+    """One exact GP a class; the uncertainty is the mean over classes of posterior over prior variance."""
 
     def __init__(self, config: GaussianProcessConfig | None = None) -> None:
         self.config = config or GaussianProcessConfig()
