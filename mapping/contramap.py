@@ -20,9 +20,9 @@ from mapping.kernels import (
     SparseFeatures,
     blocks,
     dense_features,
-    lattice_logits,
     sparse_features,
 )
+from mapping.lattice import LatticeEvaluator
 from mapping.preconditioner import DiagonalFactor, SparseFactor, sparse_factor
 from mapping.softmax import FitConfig, FitReport, fit_softmax
 
@@ -43,7 +43,7 @@ class MapConfig:
     far_uncertainty: float | None = 0.95
     """p(uncertain) out of reach of every hinge point; None gives every class the same share there."""
     empty_bias: float = 0.0
-    """Fixed logit of class 0: above 0, unseen space counts as empty among the non-uncertain classes."""
+    """Log odds of class 0 against the other known classes together where the kernels vanish."""
     fit: FitConfig = field(default_factory=FitConfig)
     """How the loss is minimised."""
     device: str = "auto"
@@ -139,13 +139,13 @@ class ContraMap:
             out[rows_t] += dense_features(X_t[rows_t], hinges[near_t], gamma[near_t]) @ self.W[near_t]
         return out
 
-    def lattice_logits(self, axes: tuple[np.ndarray, ...]) -> torch.Tensor:
-        """Logits (*lattice, C+1) on the regular lattice spanned by d coordinate arrays."""
-        return lattice_logits(axes, self.hinges, self.gamma, self.W).add_(self.offset)
+    def lattice(self) -> LatticeEvaluator:
+        """A function of d coordinate arrays that gives logits (C+1, *lattice) on the lattice they span."""
+        return LatticeEvaluator(self.hinges, self.gamma, self.W, self.offset)
 
     def predict_lattice(self, axes: tuple[np.ndarray, ...]) -> np.ndarray:
         """Class probabilities (*lattice, C+1) float32 on a regular lattice; same values as predict_proba."""
-        return torch.softmax(self.lattice_logits(axes), dim=-1).cpu().numpy()
+        return torch.softmax(self.lattice()(axes), dim=0).movedim(0, -1).cpu().numpy()
 
     def predict_occupancy(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Probabilities (N, C+1), occupancy (N,) and its gradient (N, d) at points (N, d).
@@ -179,10 +179,11 @@ class ContraMap:
         # Kernels vanish far away and leave softmax(offset): fixed, not fitted, so that a query out of reach
         # of every hinge point answers "uncertain" however the training data were balanced.
         offset = torch.zeros(count, device=self.device)
-        offset[0] = self.config.empty_bias
+        empty = self.config.empty_bias + float(np.log(max(count - 2, 1)))
+        offset[0] = empty
         share = self.config.far_uncertainty
         if share is not None and count > 1:
-            others = np.exp(self.config.empty_bias) + count - 2
+            others = np.exp(empty) + count - 2
             offset[-1] = float(np.log(share / (1 - share) * others))
         return offset
 

@@ -1,4 +1,4 @@
-"""Gaussian kernel features phi_h(x) = exp(-gamma_h ||x - h||^2), dense, truncated and on lattices.
+"""Gaussian kernel features phi_h(x) = exp(-gamma_h ||x - h||^2), dense and truncated.
 
 Knows points, hinge points and widths; knows nothing of classes, weights' meaning or fitting.
 """
@@ -18,8 +18,6 @@ PREDICT_CUTOFF = 1e-7
 """Features below this are dropped while predicting: below float32 rounding of the logits."""
 GRAM_STRIDE = 3
 """The Gram matrix only guides the fit's steps: every third row will do."""
-LATTICE_BLOCK = 24
-"""Nodes a side of the blocks a lattice is evaluated in; small blocks see few hinge points."""
 
 
 @dataclass(frozen=True)
@@ -141,36 +139,3 @@ def sparse_features(
         value[by_column],
     )
     return SparseFeatures(*(t.to(device) for t in tensors))
-
-
-def lattice_logits(
-    axes: tuple[np.ndarray, ...], hinges: np.ndarray, gamma: np.ndarray, W: torch.Tensor
-) -> torch.Tensor:
-    """Phi W at every node of a regular lattice; axes: d arrays of coordinates -> (*lattice, C).
-
-    A Gaussian is a product over axes, so a block of nodes costs two small tables of exponentials and one
-    matrix product instead of one exponential a node and hinge.
-    """
-    shape = tuple(len(axis) for axis in axes)
-    radius = reach(gamma, PREDICT_CUTOFF)
-    out = torch.zeros(*shape, W.shape[1], dtype=W.dtype, device=W.device)
-    for corner in np.ndindex(*(-(-n // LATTICE_BLOCK) for n in shape)):
-        window = tuple(slice(c * LATTICE_BLOCK, (c + 1) * LATTICE_BLOCK) for c in corner)
-        local = [np.asarray(axis[w], dtype=np.float32) for axis, w in zip(axes, window)]
-        low, high = np.array([a[0] for a in local]), np.array([a[-1] for a in local])
-        gap = np.maximum(np.maximum(low - hinges, hinges - high), 0)
-        near = np.flatnonzero((gap**2).sum(1) < radius**2)
-        if len(near) == 0:
-            continue
-        tables = [
-            torch.from_numpy(np.exp(-gamma[near] * (a[:, None] - hinges[near, i]) ** 2)).to(W)  # (n, h)
-            for i, a in enumerate(local)
-        ]
-        left = tables[0]
-        for table in tables[1:-1]:
-            left = (left[:, None, :] * table[None, :, :]).reshape(-1, len(near))
-        weights = W[torch.from_numpy(near).to(W.device)]
-        right = tables[-1].T[:, :, None] * weights[:, None, :]  # (h, n_last, C)
-        block = left @ right.reshape(len(near), -1)
-        out[window] = block.reshape(*(len(a) for a in local), W.shape[1])
-    return out

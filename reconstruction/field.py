@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from mapping.contramap import ContraMap
 
-BLOCK = 16
+BLOCK = 24
 """Nodes a side of a block that is evaluated or skipped as a whole."""
 COARSE = 4
 """The first pass looks at every 4th node."""
@@ -36,15 +36,28 @@ class Field:
     log_odds: np.ndarray
     uncertainty: np.ndarray
 
+    def window(self, low: np.ndarray, high: np.ndarray, pad: int = 0) -> tuple[slice, slice, slice]:
+        """Index ranges of the nodes that cover the box low..high (3,) [m] and `pad` nodes around it."""
+        limit = np.array(self.uncertainty.shape)
+        first = np.clip(np.floor((low - self.origin) / self.spacing).astype(int) - pad, 0, limit)
+        last = np.clip(np.ceil((high - self.origin) / self.spacing).astype(int) + 1 + pad, 0, limit)
+        x, y, z = (slice(int(a), int(b)) for a, b in zip(first, last))
+        return x, y, z
 
-def evaluate_field(model: ContraMap, low: np.ndarray, high: np.ndarray, spacing: float) -> Field:
-    """Evaluate a map on a lattice of `spacing` [m] that covers the box low..high (3,) [m]."""
+
+def evaluate_field(model: ContraMap, lows: np.ndarray, highs: np.ndarray, spacing: float) -> Field:
+    """Evaluate a map on one lattice of `spacing` [m] over boxes lows..highs (K, 3) [m].
+
+    Blocks that touch no box, or that the map knows to be empty, are skipped.
+    """
+    low, high = lows.min(0), highs.max(0)
     count = np.ceil((np.asarray(high) - low) / (spacing * BLOCK)).astype(int)
     # Multiples of the spacing: the same place is sampled alike whatever else is in the scene.
     origin = np.floor(np.asarray(low) / spacing) * spacing
     axes = [origin[i] + spacing * np.arange(count[i] * BLOCK) for i in range(3)]
-    coarse = model.lattice_logits(tuple(axis[::COARSE] for axis in axes))
-    any_object = _log_odds_of_rest(coarse)
+    evaluate = model.lattice()
+    coarse = evaluate([axis[::COARSE] for axis in axes])
+    any_object = torch.logsumexp(coarse[1:-1], 0) - coarse[0]
     wide = ndimage.maximum_filter(any_object.cpu().numpy(), size=3)
     step = BLOCK // COARSE
     peak = wide.reshape(count[0], step, count[1], step, count[2], step).max(axis=(1, 3, 5))
@@ -52,17 +65,18 @@ def evaluate_field(model: ContraMap, low: np.ndarray, high: np.ndarray, spacing:
     shape = tuple(count * BLOCK)
     log_odds = np.full((objects, *shape), OUTSIDE, np.float32)
     uncertainty = np.ones(shape, np.float32)
+    side = spacing * BLOCK
     for block in np.argwhere(peak > SKIP_LOG_ODDS):
+        corner = origin + side * block
+        if not ((corner <= highs) & (corner + side >= lows)).all(1).any():
+            continue
         window = tuple(slice(b * BLOCK, (b + 1) * BLOCK) for b in block)
-        logits = model.lattice_logits(tuple(axis[w] for axis, w in zip(axes, window)))
-        structure = logits[..., :-1]
-        # P(k) / (1 - P(k)) among the non-uncertain classes; float32 is exact enough away from 0 and 1.
-        p = torch.softmax(structure, -1)[..., 1:].clamp(1e-7, 1 - 1e-6)
-        log_odds[(slice(None), *window)] = torch.logit(p).permute(3, 0, 1, 2).cpu().numpy()
-        uncertainty[window] = torch.softmax(logits, -1)[..., -1].cpu().numpy()
+        logits = evaluate([axis[w] for axis, w in zip(axes, window)])
+        share = (logits - logits.amax(0)).exp_()
+        total = share.sum(0)
+        uncertainty[window] = (share[-1] / total).cpu().numpy()
+        # P(k) against the rest among the non-uncertain classes; the floor keeps the logarithm finite.
+        structure = total - share[-1]
+        others = (structure - share[1:-1]).clamp_min_(1e-9)
+        log_odds[(slice(None), *window)] = (share[1:-1].clamp_min(1e-9) / others).log_().cpu().numpy()
     return Field(origin, spacing, log_odds, uncertainty)
-
-
-def _log_odds_of_rest(logits: torch.Tensor) -> torch.Tensor:
-    """Log odds of "any object" against "empty" for logits (..., C+1)."""
-    return torch.logsumexp(logits[..., 1:-1], -1) - logits[..., 0]

@@ -17,48 +17,49 @@ class MeshConfig:
 
     spacing: float = 0.005
     """Lattice spacing [m]; also about the edge length of the triangles."""
+    margin: float = 0.10
+    """The hidden part of an object is looked for this far beyond its visible points [m]."""
     smallest_part: float = 0.05
     """Parts of an object smaller than this share of its largest part are dropped."""
     max_uncertainty: float | None = None
     """Keep only what is less uncertain than this (0..1); None keeps all."""
 
 
-def extract_mesh(field: Field, index: int, config: MeshConfig) -> tuple[trimesh.Trimesh, np.ndarray] | None:
-    """Closed mesh of object `index` in the field's frame and p(uncertain) at its vertices (V,).
+def extract_mesh(
+    field: Field, index: int, low: np.ndarray, high: np.ndarray, config: MeshConfig
+) -> tuple[trimesh.Trimesh, np.ndarray] | None:
+    """Closed mesh of object `index` within the box low..high (3,) and p(uncertain) at its vertices (V,).
 
-    Returns None when the object occupies no node.
+    In the field's frame. Returns None when the object occupies no node of the box.
     """
     from skimage.measure import marching_cubes
 
-    log_odds = field.log_odds[index]
+    window = field.window(low, high)
+    log_odds, uncertainty = field.log_odds[(index, *window)], field.uncertainty[window]
     if config.max_uncertainty is not None:
-        confident = np.where(field.uncertainty <= config.max_uncertainty, 1.0, -1.0).astype(np.float32)
-        log_odds = np.minimum(log_odds, confident)
-    inside = log_odds > 0
-    if not inside.any():
+        # In the same units as the log odds, so that the surface stays smooth where the two meet.
+        floor = np.log(config.max_uncertainty / (1 - config.max_uncertainty))
+        sure = floor - np.log(np.clip(uncertainty, 1e-6, 1 - 1e-6) / np.clip(1 - uncertainty, 1e-6, 1))
+        log_odds = np.minimum(log_odds, sure)
+    parts, count = ndimage.label(log_odds > 0)
+    if count == 0:
         return None
-    parts, count = ndimage.label(inside)
-    if count > 1:
-        sizes = np.bincount(parts.ravel())[1:]
-        small = np.flatnonzero(sizes < config.smallest_part * sizes.max()) + 1
-        log_odds = np.where(np.isin(parts, small), -0.01, log_odds)
-        inside = log_odds > 0
-    window = tuple(
-        slice(max(int(w.start) - 1, 0), int(w.stop) + 1)
-        for w in ndimage.find_objects(inside.astype(np.int8))[0]
-    )
-    values = log_odds[window]
+    boxes = ndimage.find_objects(parts)
+    sizes = np.bincount(parts.ravel())[1:]
+    kept = np.flatnonzero(sizes >= config.smallest_part * sizes.max())
+    if len(kept) < count:
+        log_odds = np.where((parts == 0) | np.isin(parts, kept + 1), log_odds, -0.01)
+    start = np.min([[s.start for s in boxes[k]] for k in kept], axis=0)
+    stop = np.max([[s.stop for s in boxes[k]] for k in kept], axis=0)
+    first = np.maximum(start - 1, 0)
+    values = log_odds[tuple(slice(a, b + 1) for a, b in zip(first, stop))]
     # A node exactly on the surface makes triangles without area.
-    values = np.where(np.abs(values) < 1e-4, -1e-4, values)
+    values = np.where(np.abs(values) < 1e-4, np.float32(-1e-4), values)
     padded = np.pad(values, 1, constant_values=OUTSIDE)
     vertices, faces, _, _ = marching_cubes(padded, 0.0, gradient_direction="ascent", allow_degenerate=False)
-    start = np.array([w.start for w in window])
-    nodes = vertices - 1 + start
-    limit = np.array(field.uncertainty.shape) - 1
-    uncertainty = ndimage.map_coordinates(
-        field.uncertainty, np.clip(nodes, 0, limit).T, order=1, mode="nearest"
-    )
-    mesh = trimesh.Trimesh(field.origin + field.spacing * nodes, faces[:, ::-1], process=False)
-    if mesh.volume < 0:
-        mesh.invert()
-    return mesh, np.clip(uncertainty, 0, 1).astype(np.float32)
+    nodes = vertices - 1 + first
+    limit = np.array(uncertainty.shape) - 1
+    at_vertices = ndimage.map_coordinates(uncertainty, np.clip(nodes, 0, limit).T, order=1)
+    corner = field.origin + field.spacing * np.array([w.start for w in window])
+    mesh = trimesh.Trimesh(corner + field.spacing * nodes, faces, process=False)
+    return mesh, np.clip(at_vertices, 0, 1).astype(np.float32)

@@ -40,22 +40,18 @@ def reconstruct(frame: Frame, config: PipelineConfig | None = None, seed: int = 
         training = config.samples.draw(observation, space, rng)
     with _timed(timings, "fit"):
         model = ContraMap(config.map).fit(
-            training.X,
-            training.y,
-            hinges=training.hinges,
-            gamma=training.gamma,
-            weights=training.weights,
-            classes=training.classes,
+            training.X, training.y, hinges=training.hinges, gamma=training.gamma
         )
     with _timed(timings, "field"):
-        field = evaluate_field(model, *_object_space(training.hinges, observation), config.mesh.spacing)
+        lows, highs = _object_space(observation, config.mesh.margin)
+        field = evaluate_field(model, lows, highs, config.mesh.spacing)
     T_world_table = frame.camera.T_world_camera @ np.linalg.inv(observation.T_table_camera)
     objects: list[ReconstructedObject] = []
     fields: list[ObjectField] = []
     skipped = list(observation.skipped)
     with _timed(timings, "mesh"):
         for index, item in enumerate(observation.objects):
-            extracted = extract_mesh(field, index, config.mesh)
+            extracted = extract_mesh(field, index, lows[index], highs[index], config.mesh)
             if extracted is None:
                 skipped.append(
                     Skipped(item.label, item.name, "the map gives it no volume at this resolution")
@@ -75,7 +71,7 @@ def reconstruct(frame: Frame, config: PipelineConfig | None = None, seed: int = 
         map=model,
         T_world_table=T_world_table,
         samples=training.X,
-        sample_classes=training.y,
+        sample_classes=training.y.argmax(1),
         timings_ms=timings,
         skipped=tuple(skipped),
         notes=observation.notes,
@@ -91,20 +87,22 @@ def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
     timings[stage] = (perf_counter() - start) * 1e3
 
 
-def _object_space(hinges: np.ndarray, observation: Observation) -> tuple[np.ndarray, np.ndarray]:
-    """Box (3,), (3,) [m] in the table frame that holds every place where an object can be."""
-    low, high = hinges.min(0), hinges.max(0)
+def _object_space(observation: Observation, margin: float) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes (K, 3), (K, 3) [m] in the table frame that hold every place where an object can be.
+
+    What is hidden of an object reaches no further than `margin` beyond what is seen of it.
+    """
+    lows, highs = (np.array(b) for b in zip(*(o.bounds for o in observation.objects)))
+    lows, highs = lows - margin, highs + margin
     if observation.support is not None:
-        low[2] = max(low[2], -0.03)
-    return low, high
+        lows[:, 2] = np.maximum(lows[:, 2], -0.02)
+    return lows, highs
 
 
 def _object_field(field: Field, index: int, item: ObservedObject, bounds: np.ndarray) -> ObjectField:
     """The lattice around one object, two nodes wider than its mesh."""
-    limit = np.array(field.uncertainty.shape)
-    first = np.clip(np.floor((bounds[0] - field.origin) / field.spacing).astype(int) - 2, 0, limit)
-    last = np.clip(np.ceil((bounds[1] - field.origin) / field.spacing).astype(int) + 3, 0, limit)
-    window = tuple(slice(a, b) for a, b in zip(first, last))
+    window = field.window(*bounds, pad=2)
+    first = np.array([w.start for w in window])
     odds = field.log_odds[(index, *window)]
     return ObjectField(
         label=item.label,

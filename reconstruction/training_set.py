@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from mapping.hinges import lattice_near_centres, lattice_near_points, random_subset
 from mapping.samples import along_rays, jittered_lattice, shift_along_rays, voxel_subsample, within
@@ -21,16 +22,14 @@ from perception.space import Region, Space
 class TrainingSet:
     """Samples and hinge points in the table frame.
 
-    X: (N, 3) float32 [m]; y: (N,) int64 classes; weights: (N,) float32;
-    hinges: (H, 3) float32 [m]; gamma: (H,) float32 [1/m^2]; classes: C + 1.
+    X: (N, 3) float32 [m]; y: (N, C+1) float32 label distributions, one-hot where the class is known;
+    hinges: (H, 3) float32 [m]; gamma: (H,) float32 [1/m^2].
     """
 
     X: np.ndarray
     y: np.ndarray
-    weights: np.ndarray
     hinges: np.ndarray
     gamma: np.ndarray
-    classes: int
 
 
 @dataclass(frozen=True)
@@ -73,9 +72,11 @@ class PaperSamples:
             classes.append(item.points[voxel_subsample(item.points, self.surface_voxel, rng)])
             hinges.append(random_subset(item.points, self.surface_hinges, rng))
         count = int(np.ceil(self.noise_ratio * sum(map(len, classes))))
-        classes.append(_noise_near(centres, self.radius, count, observation.support is not None, rng))
         all_hinges = np.concatenate(hinges).astype(np.float32)
-        return _assemble(classes, None, all_hinges, np.full(len(all_hinges), self.gamma, np.float32))
+        noise = _noise_near(centres, self.radius, count, observation.support is not None, rng)
+        uncertain = np.tile(np.eye(len(classes) + 1)[-1], (count, 1))
+        gamma = np.full(len(all_hinges), self.gamma)
+        return _assemble(classes, noise, uncertain, all_hinges, gamma)
 
 
 @dataclass(frozen=True)
@@ -106,32 +107,55 @@ class TabletopSamples:
     """Spacing of empty samples under the support plane [m]."""
     below_depth: float = 0.04
     """Thickness of the layer under the support plane that is known to be empty of objects [m]."""
+    least_uncertain: float = 0.4
+    """Share of "uncertain" in the label of an occluded sample whose structure is beyond doubt."""
+    shell: float = 0.02
+    """Without a prior, occluded space nearer than this to an object's seen surface leans to that object [m]."""
 
     def draw(self, observation: Observation, space: Space, rng: np.random.Generator) -> TrainingSet:
         lows, highs = (np.array(b) for b in zip(*(o.bounds for o in observation.objects)))
         low, high = lows.min(0) - self.radius, highs.max(0) + self.radius
-        floor = 0.0 if observation.support is not None else low[2]
+        supported = observation.support is not None
+        floor = 0.0 if supported else low[2]
         free = self._voxels(low, high, floor, self.free_spacing, lows, highs, rng)
         free = free[space.classify(free) == Region.FREE]
         hidden = self._voxels(low, high, floor, self.occluded_spacing, lows, highs, rng)
         hidden = hidden[space.classify(hidden) == Region.OCCLUDED]
-        empty = [free]
-        if observation.support is not None:
-            below = self._voxels(low, high, -self.below_depth, self.below_spacing, lows, highs, rng)
-            empty.append(below[below[:, 2] < -0.002])
-            # TODO density of a thin layer right under the plane
-        classes: list[np.ndarray] = [np.empty(0)]
+        empty, inside = [free], []
         for item in observation.objects:
             points = item.points[voxel_subsample(item.points, self.surface_voxel, rng)]
             empty.append(shift_along_rays(space.origin, points, -self.pair_offset))
-            classes.append(shift_along_rays(space.origin, points, self.pair_offset))
-        classes[0] = np.concatenate(empty)
-        classes.append(hidden)
-        seen = np.concatenate([o.points for o in observation.objects])
+            inside.append(shift_along_rays(space.origin, points, self.pair_offset))
+        if supported:
+            below = self._voxels(low, high, -self.below_depth, self.below_spacing, lows, highs, rng)
+            footprint = self._voxels(low, high, -self.pair_offset, self.below_spacing / 2, lows, highs, rng)
+            empty.extend([below[below[:, 2] < -self.pair_offset], footprint[footprint[:, 2] < 0]])
+        classes = [np.concatenate(empty), *inside]
+        structure = self._shell_structure(observation, hidden)
         coarse = lattice_near_points(np.concatenate([free, hidden]), 0.0, self.coarse_spacing)
+        seen = np.concatenate([o.points for o in observation.objects])
         fine = lattice_near_points(seen, self.fine_distance, self.fine_spacing)
         gamma = np.repeat([self.coarse_gamma, self.fine_gamma], [len(coarse), len(fine)])
-        return _assemble(classes, None, np.concatenate([coarse, fine]), gamma)
+        return _assemble(
+            classes, hidden, self._soft_labels(structure), np.concatenate([coarse, fine]), gamma
+        )
+
+    def _shell_structure(self, observation: Observation, points: np.ndarray) -> np.ndarray:
+        """(N, K+1) guess of {empty, object 1..K} from the distance to each object's seen surface alone."""
+        distance = np.stack([cKDTree(o.points[::4]).query(points)[0] for o in observation.objects], 1)
+        nearest = distance.argmin(1)
+        rows = np.arange(len(points))
+        inside = 1 / (1 + np.exp((distance[rows, nearest] - self.shell) / (0.3 * self.shell)))
+        structure = np.zeros((len(points), len(observation.objects) + 1), np.float32)
+        structure[rows, nearest + 1] = inside
+        structure[:, 0] = 1 - inside
+        return structure
+
+    def _soft_labels(self, structure: np.ndarray) -> np.ndarray:
+        """Labels (N, C+1) of occluded samples: sure structure keeps its label, doubt becomes "uncertain"."""
+        entropy = -(structure * np.log(np.maximum(structure, 1e-9))).sum(1) / np.log(2)
+        doubt = self.least_uncertain + (1 - self.least_uncertain) * np.minimum(entropy, 0.97)
+        return np.column_stack([structure * (1 - doubt)[:, None], doubt])
 
     def _voxels(self, low, high, floor, spacing, lows, highs, rng) -> np.ndarray:
         """Jittered samples above `floor` within `radius` of any object's box."""
@@ -164,9 +188,16 @@ def _noise_near(
 
 
 def _assemble(
-    classes: list[np.ndarray], weights: np.ndarray | None, hinges: np.ndarray, gamma: np.ndarray
+    classes: list[np.ndarray],
+    soft: np.ndarray,
+    soft_labels: np.ndarray,
+    hinges: np.ndarray,
+    gamma: np.ndarray,
 ) -> TrainingSet:
-    X = np.concatenate(classes).astype(np.float32)
-    y = np.repeat(np.arange(len(classes)), [len(c) for c in classes])
-    weights = np.ones(len(X), np.float32) if weights is None else weights
-    return TrainingSet(X, y, weights, hinges, gamma.astype(np.float32), len(classes))
+    """One set from samples of each class (hard labels) and samples with label distributions."""
+    hard = np.repeat(np.arange(len(classes)), [len(c) for c in classes])
+    X = np.concatenate([*classes, soft]).astype(np.float32)
+    y = np.zeros((len(X), soft_labels.shape[1]), np.float32)
+    y[np.arange(len(hard)), hard] = 1
+    y[len(hard) :] = soft_labels
+    return TrainingSet(X, y, hinges, gamma.astype(np.float32))
