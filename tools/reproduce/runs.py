@@ -1,0 +1,74 @@
+"""What the reproduce commands share: resumable runs, summaries over seeds, tables and figures on disk."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mapping.errors import ConfigError, DataError
+from reconstruction.atomic import temporary_beside, write_atomically
+
+
+def cached_run(
+    path: Path, settings: dict[str, Any], compute: Callable[[], dict[str, Any]], overwrite: bool = False
+) -> dict[str, Any]:
+    """The JSON result at `path` when it was computed with these settings; else compute it and write it there.
+
+    So a command that was cut off goes on where it stopped, and changed settings never mix with old runs.
+    """
+    if path.is_file() and not overwrite:
+        try:
+            stored = json.loads(path.read_text())
+        except json.JSONDecodeError as error:
+            raise DataError(f"{path}: not JSON ({error}); delete it to compute this run again") from error
+        if stored.get("settings") == json.loads(json.dumps(settings)):
+            return stored["result"]
+    result = compute()
+    write_json(path, {"settings": settings, "result": result})
+    return result
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write JSON whole, or leave what was there; folders are made as needed."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, (json.dumps(content, indent=2) + "\n").encode())
+
+
+def mean_std(values: Sequence[float]) -> dict[str, float]:
+    """{"mean", "std"} of the values; the spread of one value is 0."""
+    return {"mean": float(np.mean(values)), "std": float(np.std(values))}
+
+
+def summarise(runs: Sequence[dict[str, float]], keys: Sequence[str]) -> dict[str, dict[str, float]]:
+    """mean_std of each key over the runs."""
+    return {key: mean_std([run[key] for run in runs]) for key in keys}
+
+
+def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table in markdown."""
+    lines = ["| " + " | ".join(row) + " |" for row in [header, ["---"] * len(header), *rows]]
+    return "\n".join(lines) + "\n"
+
+
+def save_figure(figure: Any, path: Path, dots_per_inch: int = 100) -> None:
+    """Write a matplotlib figure as PNG with few colours (small files), whole or not at all."""
+    import io
+
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=dots_per_inch, bbox_inches="tight")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with temporary_beside(path) as partial:
+        Image.open(buffer).convert("RGB").quantize(256).save(partial, format="PNG", optimize=True)
+
+
+def check_choices(chosen: Sequence[str], valid: Sequence[str], what: str) -> None:
+    """Raise ConfigError for a name that is not valid, or when none was chosen."""
+    wrong = [name for name in chosen if name not in valid]
+    if wrong or not chosen:
+        raise ConfigError(f"{what}: {', '.join(wrong) or 'none given'}; choose from {', '.join(valid)}")
