@@ -124,7 +124,13 @@ def _bottle(rng: np.random.Generator) -> Colored:
     )
     top = body + shoulder + neck_length
     wide = neck + rng.uniform(0.001, 0.005)
-    outline += [(neck, top), (wide, top), (wide, top + cap - 0.002), (wide - 0.002, top + cap), (0, top + cap)]
+    outline += [
+        (neck, top),
+        (wide, top),
+        (wide, top + cap - 0.002),
+        (wide - 0.002, top + cap),
+        (0, top + cap),
+    ]
     mesh = solid.revolved(outline)
     label = (0.2 * body, rng.uniform(0.6, 0.85) * body, _color(rng, rng.random() < 0.5))
     return mesh, _banded(mesh, _color(rng), label, (top - 1e-4, 1.0, _color(rng)))
@@ -137,7 +143,9 @@ def _bowl(rng: np.random.Generator) -> Colored:
     shares = np.linspace(0, 1, 16)
     outer = [(radius * (foot + (1 - foot) * s**power), height * s) for s in shares]
     inner_radius = radius - wall
-    inner = [(inner_radius * (foot + (1 - foot) * s**power), wall + (height - wall) * s) for s in shares[::-1]]
+    inner = [
+        (inner_radius * (foot + (1 - foot) * s**power), wall + (height - wall) * s) for s in shares[::-1]
+    ]
     mesh = solid.revolved([(0, 0), *outer, *inner, (0, wall)])
     rim = (0.85 * height, 1.0, _color(rng, rng.random() < 0.5))
     return mesh, _banded(mesh, _color(rng, rng.random() < 0.6), rim)
@@ -238,7 +246,9 @@ def _banana(rng: np.random.Generator) -> Colored:
     length, thick, sweep = rng.uniform(0.13, 0.19), rng.uniform(0.014, 0.02), rng.uniform(0.7, 1.6)
     angle = np.linspace(-sweep / 2, sweep / 2, 16)
     arc = length / sweep
-    path = np.stack([arc * np.sin(angle), arc * (np.cos(angle) - np.cos(sweep / 2)), 0 * angle + thick], axis=1)
+    path = np.stack(
+        [arc * np.sin(angle), arc * (np.cos(angle) - np.cos(sweep / 2)), 0 * angle + thick], axis=1
+    )
     taper = thick * np.maximum(1 - np.abs(np.linspace(-1, 1, 16)) ** 3 * 0.75, 0.2)
     low, high = path.min(axis=0) - thick, path.max(axis=0) + thick
     mesh = solid.mesh_of(lambda points: solid.tube(points, path, taper), low, high, 0.0015, 6000)
@@ -308,7 +318,9 @@ def _spoon(rng: np.random.Generator) -> Colored:
     length, bar = rng.uniform(0.10, 0.18), rng.uniform(0.0025, 0.005)
     wall = rng.uniform(0.0025, 0.0035)
     rise = rng.uniform(0.004, 0.018)
-    path = np.array([[0.9 * bowl, 0, deep - bar], [0.5 * length, 0, deep + rise], [length, 0, deep + 0.5 * rise]])
+    path = np.array(
+        [[0.9 * bowl, 0, deep - bar], [0.5 * length, 0, deep + rise], [length, 0, deep + 0.5 * rise]]
+    )
     radii = np.array([bar, 0.9 * bar, 1.5 * bar])
 
     def distance(points: np.ndarray) -> np.ndarray:
@@ -328,7 +340,9 @@ def _spoon(rng: np.random.Generator) -> Colored:
 def _spatula(rng: np.random.Generator) -> Colored:
     blade, width, half = rng.uniform(0.03, 0.05), rng.uniform(0.022, 0.042), rng.uniform(0.0018, 0.003)
     length, bar, rise = rng.uniform(0.14, 0.22), rng.uniform(0.005, 0.009), rng.uniform(0.0, 0.03)
-    path = np.array([[blade * 0.8, 0, half], [blade + 0.03, 0, half + rise], [blade + length, 0, half + rise]])
+    path = np.array(
+        [[blade * 0.8, 0, half], [blade + 0.03, 0, half + rise], [blade + length, 0, half + rise]]
+    )
     radii = np.array([0.4 * bar, 0.7 * bar, bar])
     slots = int(rng.integers(0, 4))
 
@@ -365,9 +379,7 @@ def _blocks(rng: np.random.Generator) -> Colored:
     low = np.min([center - half for center, half in placed], axis=0)
     high = np.max([center + half for center, half in placed], axis=0)
     mesh = solid.mesh_of(distance, low, high, 0.0015)
-    nearest = np.argmin(
-        [solid.box(mesh.vertices, center, half, rounding) for center, half in placed], axis=0
-    )
+    nearest = np.argmin([solid.box(mesh.vertices, center, half, rounding) for center, half in placed], axis=0)
     return mesh, np.array([_color(rng) for _ in placed])[nearest]
 
 

@@ -102,7 +102,9 @@ def smooth_union(a: np.ndarray, b: np.ndarray, blend: float) -> np.ndarray:
     return b + (a - b) * share - blend * share * (1 - share)
 
 
-def revolved(profile: Sequence[tuple[float, float]], sections: int = 72, step: float = 0.003) -> trimesh.Trimesh:
+def revolved(
+    profile: Sequence[tuple[float, float]], sections: int = 72, step: float = 0.003
+) -> trimesh.Trimesh:
     """Closed solid of revolution about z; profile: (radius, z) [m] from axis to axis, outside first upwards."""
     corners = np.array(profile, float)
     nodes = [corners[0]]

@@ -1,0 +1,200 @@
+"""Downloads YCB scans: the official archives, checked, resumed after a cut, unpacked safely."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tarfile
+import urllib.error
+import urllib.request
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from mapping.errors import DataError
+from sim_scenes.ycb import MESH_FILE, default_ycb_dir
+
+BASE_URL = "http://ycb-benchmarks.s3-website-us-east-1.amazonaws.com/data/google"
+"""Where the YCB project hosts its archives; $CONTRAMAP_YCB_URL or an argument overrides it."""
+CHECKSUM_FILE = "checksums.json"
+"""In the target folder: SHA-256 of each archive, recorded at its first download and compared later."""
+ATTEMPTS = 4
+"""Tries per archive; each goes on where the last one was cut."""
+TIMEOUT_S = 30
+
+YCB_IDS = tuple(
+    """002_master_chef_can 003_cracker_box 004_sugar_box 005_tomato_soup_can 006_mustard_bottle
+    007_tuna_fish_can 008_pudding_box 009_gelatin_box 010_potted_meat_can 011_banana 012_strawberry 013_apple
+    014_lemon 015_peach 016_pear 017_orange 018_plum 019_pitcher_base 021_bleach_cleanser 022_windex_bottle
+    024_bowl 025_mug 026_sponge 028_skillet_lid 029_plate 030_fork 031_spoon 032_knife 033_spatula
+    035_power_drill 036_wood_block 037_scissors 038_padlock 040_large_marker 042_adjustable_wrench
+    043_phillips_screwdriver 044_flat_screwdriver 048_hammer 050_medium_clamp 051_large_clamp
+    052_extra_large_clamp 053_mini_soccer_ball 054_softball 055_baseball 056_tennis_ball 057_racquetball
+    058_golf_ball 059_chain 061_foam_brick 062_dice 065-a_cups 065-b_cups 065-c_cups 065-d_cups 065-e_cups
+    065-f_cups 065-g_cups 065-h_cups 065-i_cups 065-j_cups 070-a_colored_wood_blocks 071_nine_hole_peg_test
+    072-a_toy_airplane 073-a_lego_duplo 077_rubiks_cube""".split()
+)
+"""Objects with a google_16k scan that `contramap fetch ycb` downloads by default."""
+
+
+def fetch_ycb(
+    to: str | Path | None = None,
+    only: Sequence[str] | None = None,
+    base_url: str | None = None,
+    progress: bool = True,
+) -> Path:
+    """Download and unpack scans into `to` (default: the cache folder); those already there are skipped.
+
+    only: IDs such as 003_cracker_box (default: all). Returns the folder.
+    Raises DataError when an ID is unknown to the server, the connection fails for good, an archive's checksum
+    differs from the recorded one, or an archive would write outside its folder.
+    """
+    folder = Path(to).expanduser() if to else default_ycb_dir()
+    url = (base_url or os.environ.get("CONTRAMAP_YCB_URL") or BASE_URL).rstrip("/")
+    folder.mkdir(parents=True, exist_ok=True)
+    for model_id in only or YCB_IDS:
+        if "/" in model_id or model_id.startswith("."):
+            raise DataError(f"{model_id!r} is no YCB ID; they look like 003_cracker_box")
+        if (folder / model_id / MESH_FILE).is_file():
+            continue
+        archive = _download(url, f"{model_id}_google_16k.tgz", folder, progress)
+        extract(archive, folder, model_id)
+        archive.unlink()
+    return folder
+
+
+def _download(url: str, name: str, folder: Path, progress: bool) -> Path:
+    """The archive's path after a complete, verified download."""
+    import pooch
+
+    known = _checksums(folder)
+    downloader = ResumingDownloader(progress)
+    try:
+        path = pooch.retrieve(
+            f"{url}/{name}",
+            known_hash=known.get(name),
+            fname=name,
+            path=folder,
+            downloader=downloader,
+        )
+    except ValueError as error:  # pooch: the hash does not match
+        raise DataError(
+            f"{url}/{name}: its checksum differs from the one recorded in {folder / CHECKSUM_FILE}; the file "
+            "changed or was damaged. Delete the entry there if the change is expected"
+        ) from error
+    if name not in known:
+        known[name] = pooch.file_hash(path)
+        temporary = folder / (CHECKSUM_FILE + ".tmp")
+        temporary.write_text(json.dumps(known, indent=1, sort_keys=True) + "\n")
+        temporary.rename(folder / CHECKSUM_FILE)
+    return Path(path)
+
+
+def _checksums(folder: Path) -> dict[str, str]:
+    path = folder / CHECKSUM_FILE
+    try:
+        return dict(json.loads(path.read_text())) if path.is_file() else {}
+    except ValueError as error:
+        raise DataError(f"{path}: is not valid JSON ({error}); delete it to record checksums anew") from error
+
+
+class ResumingDownloader:
+    """A pooch downloader that keeps the part it got beside the target and asks only for the rest."""
+
+    def __init__(self, progress: bool = True) -> None:
+        self.progress = progress
+
+    def __call__(self, url: str, output_file: Any, pooch: Any) -> None:
+        """Download `url` to the path `output_file`; raises DataError when it cannot be completed."""
+        # pooch hands over a temporary name that differs each time; the part must outlive the process.
+        target = Path(output_file)
+        part = target.parent / (url.rsplit("/", 1)[-1] + ".part")
+        problem: Exception | None = None
+        for _ in range(ATTEMPTS):
+            try:
+                self._rest(url, part)
+                shutil.move(part, target)
+                return
+            except urllib.error.HTTPError as error:
+                if error.code == 416:  # the part is not a beginning of this file
+                    part.unlink(missing_ok=True)
+                elif error.code < 500:
+                    raise DataError(f"{url}: the server answered {error.code} ({error.reason})") from error
+                problem = error
+            except (OSError, urllib.error.URLError) as error:
+                problem = error
+        raise DataError(
+            f"{url}: download failed after {ATTEMPTS} tries ({problem}); run the command again to go on from "
+            "where it stopped"
+        )
+
+    def _rest(self, url: str, part: Path) -> None:
+        from tqdm import tqdm
+
+        have = part.stat().st_size if part.exists() else 0
+        request = urllib.request.Request(url, headers={"Range": f"bytes={have}-"} if have else {})
+        with urllib.request.urlopen(request, timeout=TIMEOUT_S) as answer:
+            if have and answer.status != 206:  # the server sends everything again
+                have = 0
+            length = answer.headers.get("Content-Length")
+            total = have + int(length) if length is not None else None
+            with (
+                open(part, "ab" if have else "wb") as stream,
+                tqdm(
+                    desc=url.rsplit("/", 1)[-1],
+                    initial=have,
+                    total=total,
+                    unit="B",
+                    unit_scale=True,
+                    disable=not self.progress,
+                ) as bar,
+            ):
+                while chunk := answer.read(1 << 16):
+                    stream.write(chunk)
+                    bar.update(len(chunk))
+        if total is not None and part.stat().st_size < total:
+            raise ConnectionError(f"connection cut at {part.stat().st_size} of {total} bytes")
+
+
+def extract(archive: Path, folder: Path, model_id: str) -> None:
+    """Unpack an archive whose files all lie below `model_id`/; it appears in `folder` only when complete.
+
+    Raises DataError for members outside that folder, links, device files, and broken archives.
+    """
+    temporary = folder / f".{model_id}.{os.getpid()}.tmp"
+    shutil.rmtree(temporary, ignore_errors=True)
+    try:
+        with tarfile.open(archive) as tar:
+            members = tar.getmembers()
+            for member in members:
+                _check_member(member, archive, model_id)
+            for member in members:
+                target = temporary / member.name
+                if member.isdir():
+                    target.mkdir(parents=True, exist_ok=True)
+                    continue
+                target.parent.mkdir(parents=True, exist_ok=True)
+                source = tar.extractfile(member)
+                assert source is not None, "only plain files pass the check"
+                with source, open(target, "wb") as stream:
+                    shutil.copyfileobj(source, stream)
+        if not (temporary / model_id / MESH_FILE).is_file():
+            raise DataError(f"{archive}: holds no {model_id}/{MESH_FILE}")
+        shutil.rmtree(folder / model_id, ignore_errors=True)
+        (temporary / model_id).rename(folder / model_id)
+    except (tarfile.TarError, EOFError, OSError) as error:
+        raise DataError(
+            f"{archive}: is not a readable archive ({error}); delete it and fetch again"
+        ) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _check_member(member: tarfile.TarInfo, archive: Path, model_id: str) -> None:
+    parts = Path(member.name).parts
+    parts = parts[1:] if parts and parts[0] == "." else parts
+    if Path(member.name).is_absolute() or ".." in parts or (parts and parts[0] != model_id):
+        raise DataError(f"{archive}: member {member.name!r} lies outside {model_id}/; the archive is refused")
+    if not (member.isfile() or member.isdir()):
+        raise DataError(f"{archive}: member {member.name!r} is a link or device; the archive is refused")
