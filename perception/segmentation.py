@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from perception.camera import Camera
+from perception.concave_split import split_at_creases
 from perception.config import PerceptionConfig
 from perception.depth_edges import connected_pieces, joined_neighbours
 from perception.observation import SupportPlane
@@ -38,6 +39,7 @@ def segment(
     else:
         height = points @ support.normal.astype(np.float32) + np.float32(support.offset)
         pieces = connected_pieces(*joined, measured & (height > config.segment_height))
+        pieces = split_at_creases(pieces, joined, points, camera, config)
         table = connected_pieces(*joined, np.abs(height) < support.threshold)
         keep = _large_enough(pieces, depth, camera, config)
         keep &= _stands_on_table(pieces, keep, table, points, height, support, camera, config)

@@ -35,6 +35,37 @@ def test_separate_objects(eye: tuple[float, float, float], seed: int) -> None:
     assert_one_to_one(result, scene.true_labels, len(OBJECTS))
 
 
+@pytest.mark.parametrize(
+    "pair",
+    [
+        (Shape("sphere", (0.05,), (0.0, -0.05, 0.05)), Shape("sphere", (0.05,), (0.0, 0.05, 0.05))),
+        (Shape("cylinder", (0.04, 0.10), (0.0, -0.04, 0.05)), Shape("sphere", (0.05,), (0.0, 0.05, 0.05))),
+        (
+            Shape("box", (0.08, 0.08, 0.06), (0.0, -0.06, 0.03), 0.785),
+            Shape("sphere", (0.05,), (0.0, 0.05, 0.05)),
+        ),
+    ],
+)
+def test_touching_round_objects_are_parted(pair: tuple[Shape, Shape]) -> None:
+    scene = make_tabletop(pair, noise=0.0015, size=(640, 480))
+    result = observe(dataclasses.replace(scene.frame, labels=None))
+    assert_one_to_one(result, scene.true_labels, 2)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        Shape("box", (0.06, 0.16, 0.20), (0.0, 0.0, 0.10), 0.6),
+        Shape("cylinder", (0.02, 0.25), (0.0, 0.0, 0.125)),
+        Shape("box", (0.025, 0.20, 0.02), (0.0, 0.0, 0.01), 0.3),
+    ],
+)
+def test_one_object_stays_one(shape: Shape) -> None:
+    scene = make_tabletop((shape,), noise=0.0015, size=(640, 480))
+    result = observe(dataclasses.replace(scene.frame, labels=None))
+    assert_one_to_one(result, scene.true_labels, 1)
+
+
 def test_walls_and_floors_are_no_objects() -> None:
     background = (
         Shape("box", (0.02, 3.0, 2.0), (0.6, 0.0, 0.3)),
