@@ -1,7 +1,7 @@
 """Collision shapes: a mesh as a few convex parts (V-HACD), cached by the mesh's content.
 
-V-HACD works on voxels: a second or two for a scan, whatever its triangles look like. It runs in a process of its
-own, so that it can be stopped, several run side by side, and what it prints does not reach the user.
+V-HACD works on voxels: a second or two for a scan, whatever its triangles look like. It runs in a process of
+its own, so that it can be stopped, several run side by side, and what it prints does not reach the user.
 """
 
 from __future__ import annotations
@@ -108,10 +108,10 @@ def _pull_inside(points: np.ndarray, mesh: trimesh.Trimesh) -> np.ndarray:
 
     scene = open3d.t.geometry.RaycastingScene()
     scene.add_triangles(
-        open3d.core.Tensor(np.asarray(mesh.vertices, np.float32)),
-        open3d.core.Tensor(np.asarray(mesh.faces, np.uint32)),
+        open3d.core.Tensor.from_numpy(np.asarray(mesh.vertices, np.float32)),
+        open3d.core.Tensor.from_numpy(np.asarray(mesh.faces, np.uint32)),
     )
-    query = open3d.core.Tensor(points.astype(np.float32))
+    query = open3d.core.Tensor.from_numpy(points.astype(np.float32))
     outside = scene.compute_signed_distance(query).numpy() > 0
     nearest = scene.compute_closest_points(query)["points"].numpy()
     return np.where(outside[:, None], nearest, points)

@@ -20,6 +20,7 @@ from sim_scenes import builtin_objects, ycb
 from sim_scenes.convex_parts import build_all
 from sim_scenes.object_model import ObjectModel
 from sim_scenes.render import Renderer, random_cameras
+from sim_scenes.sensor_noise import noisy_depth, noisy_labels
 from sim_scenes.surroundings import Surroundings
 from sim_scenes.tabletop import PlacedObject, Tabletop, TabletopConfig
 from sim_scenes.truth import TRUTH_FILE, load_truth
@@ -122,13 +123,10 @@ def make_scene(
     for camera, view in zip(cameras, views):
         depth, labels = renderer.depth_and_labels(camera)
         rgb = renderer.rgb(camera, rng)
-        if settings["sensor_noise"] or settings["label_noise"]:
-            from sim_scenes import sensor_noise
-
-            if settings["label_noise"]:
-                labels = sensor_noise.noisy_labels(labels, rng)
-            if settings["sensor_noise"]:
-                depth = sensor_noise.noisy_depth(depth, camera, rng)
+        if settings["label_noise"]:
+            labels = noisy_labels(labels, rng)
+        if settings["sensor_noise"]:
+            depth = noisy_depth(depth, camera, rng)
         frame = Frame(depth, camera, rgb, labels, names, str(folder))
         save_frame(frame, temporary / view, DEPTH_SCALE)
     _write_truth(temporary, placed, source, settings, views)

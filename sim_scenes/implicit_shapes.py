@@ -1,11 +1,13 @@
-"""Watertight meshes of composed solids: signed distances [m] to simple bodies, joined and cut, then meshed."""
+"""Watertight meshes of composed solids: distances [m] to simple bodies, joined and cut, then meshed."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
 import trimesh
+from numpy.typing import ArrayLike
 
 Distance = Callable[[np.ndarray], np.ndarray]
 """Maps points (..., 3) [m] to distances (...) [m], negative inside."""
@@ -17,7 +19,7 @@ MOST_CELLS = 1_500_000
 def mesh_of(
     distance: Distance, low: Sequence[float], high: Sequence[float], cell: float = 0.0012, faces: int = 12_000
 ) -> trimesh.Trimesh:
-    """The zero level set within the box low..high [m], at least as coarse as `cell` [m], simplified to `faces`."""
+    """The zero level set within the box low..high [m] on a lattice of `cell` [m], simplified to `faces`."""
     from skimage.measure import marching_cubes
 
     start, extent = np.array(low, float), np.array(high, float) - np.array(low, float)
@@ -69,7 +71,7 @@ def ellipsoid(points: np.ndarray, center: Sequence[float], radii: Sequence[float
     return (length - 1) * length / np.maximum(gradient, 1e-9)
 
 
-def box(points: np.ndarray, center: Sequence[float], half: Sequence[float], rounding: float) -> np.ndarray:
+def box(points: np.ndarray, center: ArrayLike, half: ArrayLike, rounding: float) -> np.ndarray:
     """Distance to an axis-aligned box with rounded edges; half: half extents [m] including the rounding."""
     inner = np.array(half, np.float32) - rounding
     beyond = np.abs(points - np.array(center, np.float32)) - inner
@@ -105,10 +107,10 @@ def smooth_union(a: np.ndarray, b: np.ndarray, blend: float) -> np.ndarray:
 def revolved(
     profile: Sequence[tuple[float, float]], sections: int = 72, step: float = 0.003
 ) -> trimesh.Trimesh:
-    """Closed solid of revolution about z; profile: (radius, z) [m] from axis to axis, outside first upwards."""
+    """Closed solid of revolution about z; profile: (radius, z) [m] from axis to axis."""
     corners = np.array(profile, float)
     nodes = [corners[0]]
-    for a, b in zip(corners[:-1], corners[1:]):
+    for a, b in pairwise(corners):
         pieces = max(1, int(np.linalg.norm(b - a) / step))
         nodes += [a + (b - a) * (index + 1) / pieces for index in range(pieces)]
     line = np.array(nodes)

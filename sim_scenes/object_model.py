@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -44,12 +45,11 @@ class ObjectModel:
 
     def save(self, path: Path) -> None:
         """Write geometry and vertex colours as binary PLY [m]; a texture is not kept."""
-        colored = trimesh.Trimesh(self.mesh.vertices, self.mesh.faces, process=False)
         colors = self.vertex_colors
         if colors is None:
             colors = np.broadcast_to(GREY, (len(self.mesh.vertices), 3))
-        colored.visual.vertex_colors = colors
-        path.write_bytes(colored.export(file_type="ply"))
+        colored = trimesh.Trimesh(self.mesh.vertices, self.mesh.faces, vertex_colors=colors, process=False)
+        colored.export(path, file_type="ply")
 
 
 def is_closed(mesh: trimesh.Trimesh) -> bool:
@@ -87,22 +87,24 @@ def load_model(path: Path, name: str, source: str, scale: float = 1.0) -> Object
     mesh = trimesh.Trimesh(unique, faces[proper], process=False)
     corner_uv, texture = _texture(raw, proper)
     vertex_colors = None
-    if texture is None and raw.visual.kind in ("vertex", "face"):
-        vertex_colors = np.asarray(raw.visual.vertex_colors)[first, :3].astype(np.uint8)
+    visual: Any = raw.visual
+    if texture is None and visual.kind in ("vertex", "face"):
+        vertex_colors = np.asarray(visual.vertex_colors)[first, :3].astype(np.uint8)
     elif texture is None:
-        color = getattr(getattr(raw.visual, "material", None), "main_color", None)
+        color = getattr(getattr(visual, "material", None), "main_color", None)
         plain = GREY if color is None else np.asarray(color[:3], np.uint8)
         vertex_colors = np.tile(plain, (len(unique), 1))
     return ObjectModel(name, source, mesh, vertex_colors, corner_uv, texture, path)
 
 
 def _texture(raw: trimesh.Trimesh, proper: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
-    if raw.visual.kind != "texture" or raw.visual.uv is None:
+    visual: Any = raw.visual
+    if visual.kind != "texture" or visual.uv is None:
         return None, None
-    image = getattr(raw.visual.material, "image", None)
+    image = getattr(visual.material, "image", None)
     if image is None:
-        image = getattr(raw.visual.material, "baseColorTexture", None)
+        image = getattr(visual.material, "baseColorTexture", None)
     if image is None:
         return None, None
-    corner_uv = np.asarray(raw.visual.uv, np.float32)[np.asarray(raw.faces)[proper]]
+    corner_uv = np.asarray(visual.uv, np.float32)[np.asarray(raw.faces)[proper]]
     return corner_uv, np.asarray(image.convert("RGB"))

@@ -1,12 +1,13 @@
 """Draws a tabletop scene by ray casting: metric depth, instance labels and a shaded colour image.
 
-Runs anywhere open3d runs, without a display or OpenGL. World: z up, table top at z = 0; a room stands around it.
+Runs anywhere open3d runs, without a display or OpenGL. World: z up, table top at z = 0, in a room.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from sim_scenes.tabletop import PlacedObject
 
 SMOOTH_ANGLE_COSINE = 0.8
 """Corners where the surface turns more than this keep their edge when shaded."""
+MOST_CORNERS = 24
+"""Triangles that meet in a vertex beyond this number are left out when its normal is smoothed."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,7 @@ class CameraConfig:
 
 
 def look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """T_world_camera (4, 4), OpenCV axes, of a camera at `eye` that looks at `target`; the image stays level."""
+    """T_world_camera (4, 4), OpenCV axes, of a level camera at `eye` that looks at `target`."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -77,17 +80,20 @@ class Renderer:
     def __init__(self, objects: Sequence[PlacedObject], surroundings: Surroundings) -> None:
         import open3d
 
-        self._tensor = open3d.core.Tensor
+        self._tensor = open3d.core.Tensor.from_numpy
         self.scene = open3d.t.geometry.RaycastingScene()
         self.surroundings = surroundings
         self._models = [item.model for item in objects]
         self._rotations = [item.T_world_object[:3, :3] for item in objects]
-        self._normals = [corner_normals(item.model) for item in objects]
         for item in objects:
             vertices = item.model.mesh.vertices @ item.T_world_object[:3, :3].T + item.T_world_object[:3, 3]
             self._add(vertices, item.model.mesh.faces)
         for vertices, faces in surroundings.meshes():
             self._add(vertices, faces)
+
+    @cached_property
+    def _normals(self) -> list[np.ndarray]:
+        return [corner_normals(model) for model in self._models]
 
     def _add(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         self.scene.add_triangles(
@@ -96,7 +102,10 @@ class Renderer:
         )
 
     def depth_and_labels(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-        """Depth (H, W) float32 [m] along z, NaN where nothing is hit, and labels (H, W) uint16, k = object k - 1."""
+        """Depth (H, W) float32 [m] along z, NaN where nothing is hit, and labels (H, W) uint16.
+
+        Label k is the k-th object, counted from 1.
+        """
         hits = self._cast(camera, camera.rays)
         depth = hits["t_hit"].numpy()
         ids = hits["geometry_ids"].numpy()
@@ -166,11 +175,25 @@ def object_color(model: ObjectModel, faces: np.ndarray, weights: np.ndarray) -> 
 
 def corner_normals(model: ObjectModel) -> np.ndarray:
     """Unit normals (F, 3, 3) per triangle corner: smooth, but sharp where the surface has an edge."""
-    faces = model.mesh.faces
-    flat = np.asarray(model.mesh.face_normals)[:, None, :]
-    smooth = np.asarray(model.mesh.vertex_normals)[faces]
-    same = (flat * smooth).sum(axis=-1, keepdims=True) > SMOOTH_ANGLE_COSINE
-    return np.where(same, smooth, flat).astype(np.float32)
+    faces, flat = np.asarray(model.mesh.faces), np.asarray(model.mesh.face_normals)
+    areas = np.asarray(model.mesh.area_faces)
+    # Corners that share a vertex lie next to each other once sorted by vertex; pair each with the next ones.
+    order = np.argsort(faces.ravel(), kind="stable")
+    vertex, face = faces.ravel()[order], order // 3
+    total = areas[face, None] * flat[face]
+    for step in range(1, MOST_CORNERS):
+        same = vertex[step:] == vertex[:-step]
+        if not same.any():
+            break
+        first, second = np.flatnonzero(same), np.flatnonzero(same) + step
+        alike = np.einsum("nd,nd->n", flat[face[first]], flat[face[second]]) > SMOOTH_ANGLE_COSINE
+        first, second = first[alike], second[alike]
+        np.add.at(total, first, areas[face[second], None] * flat[face[second]])
+        np.add.at(total, second, areas[face[first], None] * flat[face[first]])
+    normals = np.empty_like(total)
+    normals[order] = total
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
+    return normals.reshape(-1, 3, 3).astype(np.float32)
 
 
 def _bilinear(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ SAMPLES = 4
 
 @dataclass(frozen=True)
 class Surface:
-    """What each ray hit, arrays (H, W, ...): hit bool, positions [m], unit normals, albedo 0..1, directions."""
+    """What each ray hit, (H, W, ...): hit bool, positions [m], unit normals, albedo 0..1, directions."""
 
     hit: np.ndarray
     positions: np.ndarray
@@ -88,7 +88,9 @@ def _visible(scene: Any, positions: np.ndarray, normals: np.ndarray, towards: np
 
     origins = np.broadcast_to(positions + 5e-4 * normals, towards.shape)
     rays = np.concatenate([origins, towards], axis=-1).astype(np.float32)
-    blocked = scene.test_occlusions(open3d.core.Tensor(np.ascontiguousarray(rays)), tfar=0.98).numpy()
+    blocked = scene.test_occlusions(
+        open3d.core.Tensor.from_numpy(np.ascontiguousarray(rays)), tfar=0.98
+    ).numpy()
     return 1 - blocked.mean(axis=0, dtype=np.float32)
 
 

@@ -1,4 +1,4 @@
-"""Objects dropped on a table and settled by physics (pybullet, no display). World: z up, table top at z = 0."""
+"""Objects dropped on a table and settled by physics (pybullet). World: z up, table top at z = 0."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ def _object(item: dict, folder: Path, content: dict, ycb_dir: str | Path | None)
     mesh_path = next((root / relative for root in roots if root and (root / relative).is_file()), None)
     if mesh_path is None:
         raise DataError(
-            f"{folder}: mesh {relative} of {item['name']} not found; name the YCB folder with --ycb or YCB_DIR"
+            f"{folder}: mesh {relative} of {item['name']} not found; name the YCB folder (--ycb, YCB_DIR)"
         )
     T = np.array(item["T_world_object"], float)
     if T.shape != (4, 4):
