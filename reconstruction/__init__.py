@@ -1,0 +1,29 @@
+"""From one RGB-D frame to metric meshes with uncertainty, and the files planners read."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from reconstruction.config import PipelineConfig, preset
+    from reconstruction.result import Reconstruction
+    from reconstruction.result_folder import load_result, save_reconstruction
+    from reconstruction.scene import reconstruct
+
+_HOME = {
+    "PipelineConfig": "reconstruction.config",
+    "Reconstruction": "reconstruction.result",
+    "load_result": "reconstruction.result_folder",
+    "preset": "reconstruction.config",
+    "reconstruct": "reconstruction.scene",
+    "save_reconstruction": "reconstruction.result_folder",
+}
+
+__all__ = ["PipelineConfig", "Reconstruction", "load_result", "preset", "reconstruct", "save_reconstruction"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(import_module(_HOME[name]), name)
+    raise AttributeError(f"module 'reconstruction' has no attribute {name!r}")

@@ -1,0 +1,71 @@
+"""The `contramap` command: finds the subcommand, and turns bad input into one line and exit code 2."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from mapping.errors import ContraMapError
+from tools.benchmark import latency
+from tools.demo import demo
+from tools.map_frame import map_frame
+from tools.simulate import fetch_ycb, scenes
+from tools.view import view
+
+Command = Callable[..., Any]
+
+
+def fetch() -> None:
+    """Download data: `contramap fetch ycb`."""
+
+
+def benchmark() -> None:
+    """Time the pipeline: `contramap benchmark latency`."""
+
+
+COMMANDS: dict[str, Command] = {
+    "demo": demo,
+    "map": map_frame,
+    "view": view,
+    "scenes": scenes,
+    "fetch": fetch,
+    "benchmark": benchmark,
+}
+GROUPS: dict[str, dict[str, Command]] = {"fetch": {"ycb": fetch_ycb}, "benchmark": {"latency": latency}}
+DESCRIPTION = "RGB-D frames to metric object meshes with uncertainty."
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command line; returns the exit code."""
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        _run(arguments)
+    except ContraMapError as error:
+        print(f"contramap: error: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("contramap: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader of our output (head, less) has gone; nothing is wrong.
+        sys.stderr.close()
+        return 0
+    return 0
+
+
+def _run(arguments: list[str]) -> None:
+    import tyro
+
+    group = arguments[0] if arguments and arguments[0] in GROUPS else None
+    tyro.extras.subcommand_cli_from_dict(
+        GROUPS[group] if group else COMMANDS,
+        prog=f"contramap {group}" if group else "contramap",
+        description=COMMANDS[group].__doc__ if group else DESCRIPTION,
+        args=arguments[1:] if group else arguments,
+        config=(tyro.conf.FlagCreatePairsOff,),
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

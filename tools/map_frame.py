@@ -1,0 +1,112 @@
+"""`contramap map`: one frame to a result folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from mapping.errors import ConfigError
+from tools.options import pipeline_config
+
+if TYPE_CHECKING:
+    from perception.frame import Frame
+    from reconstruction.result import Reconstruction
+
+
+def map_frame(
+    frame: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="FRAME")] = None,
+    *,
+    out: Path,
+    rgb: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    depth: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    labels: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    intrinsics: Annotated[
+        tuple[float, float, float, float] | None, tyro.conf.arg(metavar="FX FY CX CY")
+    ] = None,
+    depth_scale: Annotated[float | None, tyro.conf.arg(metavar="M")] = None,
+    preset: str = "tabletop",
+    device: str = "auto",
+    seed: int = 0,
+    spacing: Annotated[float | None, tyro.conf.arg(metavar="M")] = None,
+    max_uncertainty: Annotated[float | None, tyro.conf.arg(metavar="U")] = None,
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    set: tuple[str, ...] = (),
+    rrd: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    overwrite: bool = False,
+) -> None:
+    """Map an RGB-D frame: one watertight metric mesh with uncertainty per object.
+
+    Example: contramap map FRAME --out result --rrd run.rrd
+
+    Args:
+        frame: Frame folder (rgb.png, depth.png or depth.npy, labels.png, camera.json) or .npz file.
+        out: Result folder; must be empty or absent, or see --overwrite.
+        rgb: Colour image, instead of FRAME.
+        depth: Depth image, instead of FRAME: 16-bit PNG or float .npy.
+        labels: 16-bit instance labels, 0 = background; without them the depth is segmented.
+        intrinsics: Focal lengths and principal point [px], with --depth.
+        depth_scale: Metres per stored depth unit (0.001 for millimetres), with --depth.
+        preset: tabletop (default) or paper (samples and hinge points as published).
+        device: cpu, cuda or auto.
+        seed: Same seed, same meshes.
+        spacing: Lattice spacing of the meshes [m], 0.005 by default.
+        max_uncertainty: Keep only what is less uncertain than this (0..1).
+        config: JSON file of nested settings, as in the `config` of a scene.json.
+        set: Single settings, such as mesh.spacing=0.003 samples.pair_offset=0.004.
+        rrd: Also write a rerun recording to this file.
+        overwrite: Replace an older result in --out.
+    """
+    from reconstruction import reconstruct
+    from reconstruction.result_folder import check_output, save_reconstruction
+
+    settings = pipeline_config(preset, device, set, config, spacing, max_uncertainty)
+    check_output(out, overwrite)
+    loaded = _load(frame, rgb, depth, labels, intrinsics, depth_scale)
+    reconstruction = reconstruct(loaded, settings, seed)
+    save_reconstruction(reconstruction, out, overwrite=overwrite)
+    if rrd is not None:
+        from reconstruction.recording import record
+
+        record(reconstruction, rrd)
+    print_summary(reconstruction)
+    print(f"result: {out}")
+
+
+def print_summary(reconstruction: Reconstruction) -> None:
+    """Objects, what was skipped, notes and stage timings, for people."""
+    print(f"{'label':>5}  {'name':28} {'size [mm]':>15}  uncertainty  watertight")
+    for item in reconstruction.objects:
+        size = " x ".join(f"{1000 * side:.0f}" for side in item.extents)
+        tight = "yes" if item.watertight else "NO"
+        print(f"{item.label:>5}  {item.name:28.28} {size:>15}  {item.mean_uncertainty:11.2f}  {tight}")
+    for skipped in reconstruction.skipped:
+        print(f"skipped {skipped.label} {skipped.name}: {skipped.reason}")
+    for note in reconstruction.notes:
+        print(f"note: {note}")
+    stages = ", ".join(f"{stage} {ms:.0f}" for stage, ms in reconstruction.timings_ms.items())
+    print(f"milliseconds: {stages}")
+
+
+def _load(
+    frame: Path | None,
+    rgb: Path | None,
+    depth: Path | None,
+    labels: Path | None,
+    intrinsics: tuple[float, float, float, float] | None,
+    depth_scale: float | None,
+) -> Frame:
+    from perception.frame_io import load_frame, load_images
+
+    if (frame is None) == (depth is None):
+        raise ConfigError("give either FRAME (a folder or .npz) or --depth with --intrinsics")
+    if frame is not None:
+        if rgb or labels or intrinsics or depth_scale is not None:
+            raise ConfigError(
+                "--rgb, --labels, --intrinsics and --depth-scale go with --depth, not with FRAME"
+            )
+        return load_frame(frame)
+    if intrinsics is None:
+        raise ConfigError("--depth needs --intrinsics FX FY CX CY")
+    return load_images(depth=depth, rgb=rgb, labels=labels, intrinsics=intrinsics, depth_scale=depth_scale)
