@@ -14,7 +14,7 @@ import numpy as np
 from mapping.errors import FrameError
 from perception.camera import Camera
 from perception.frame import Frame
-from perception.image_io import read_array, read_depth_image, read_labels, read_rgb, write_png
+from perception.image_io import read_array, read_depth_image, read_labels, read_rgb, write_png, write_whole
 
 NPZ_LABELS = ("segmap", "seg", "labels")
 """Names under which an .npz may hold its instance labels."""
@@ -272,9 +272,8 @@ def _read_json(path: Path, hint: str) -> dict[str, Any]:
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    os.replace(temporary, path)
+    text = json.dumps(content, indent=1) + "\n"
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def _line(error: Exception) -> str:

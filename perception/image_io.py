@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -72,12 +73,18 @@ def read_array(path: Path) -> np.ndarray:
 
 
 def write_png(path: Path, image: np.ndarray) -> None:
-    """Write an image under a temporary name and rename it, so that no half-written file is left."""
+    """Write an image, whole or not at all."""
     from PIL import Image
 
+    picture = Image.fromarray(image)
+    write_whole(path, lambda temporary: picture.save(temporary, format="PNG", compress_level=3))
+
+
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Let `write` fill a temporary file and rename it to path; on failure nothing half-written is left."""
     temporary = path.with_name(path.name + ".part")
     try:
-        Image.fromarray(image).save(temporary, format="PNG", compress_level=3)
+        write(temporary)
         os.replace(temporary, path)
     except OSError:
         temporary.unlink(missing_ok=True)

@@ -244,6 +244,19 @@ def test_damaged_npz_and_members_outside_are_refused(tabletop_frame: Frame, tmp_
     assert "not a readable .npz" in refusal(path)
 
 
+def test_a_full_disk_leaves_no_frame(
+    tabletop_frame: Frame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    # Only the system call fails; everything of ours runs.
+    monkeypatch.setattr("os.replace", full)
+    with pytest.raises(OSError, match="No space left"):
+        save_frame(tabletop_frame, tmp_path / "frame")
+    assert list((tmp_path / "frame").iterdir()) == []
+
+
 def test_importing_perception_is_light() -> None:
     code = (
         "import sys, perception; print([m for m in ('open3d', 'torch', 'cv2', 'scipy') if m in sys.modules])"
