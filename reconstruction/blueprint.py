@@ -11,7 +11,10 @@ FIELD = 2.2
 
 
 def run_blueprint(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> Any:
-    """Four 3D tabs, the images, the fit and a summary; eye, target [m] and up (3,) in the table frame."""
+    """Four 3D tabs, the images, the fit and a summary.
+
+    eye, target: (3,) [m] first viewpoint in the table frame; up: (3,).
+    """
     import rerun.blueprint as rrb
 
     def space(name: str, *contents: str) -> Any:
@@ -24,7 +27,7 @@ def run_blueprint(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> Any:
         )
 
     spaces = rrb.Tabs(
-        space("Uncertainty", "/world/uncertainty/**", "/world/cloud"),
+        space("Uncertainty", "/world/uncertainty/**", "/world/cloud/background"),
         space("Objects and truth", "/world/meshes/**", "/world/truth/**"),
         space("Samples and hinges", "/world/table/**"),
         space("Slice", "/world/slice", "/world/meshes/**"),
@@ -49,7 +52,7 @@ def run_blueprint(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> Any:
         rrb.Horizontal(
             spaces, rrb.Vertical(images, plots, summary, row_shares=[3, 2, 3]), column_shares=[3, 2]
         ),
-        rrb.TimePanel(timeline="step", state="collapsed"),
+        rrb.TimePanel(timeline="step", state="collapsed", play_state="paused"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
     )

@@ -2,7 +2,8 @@
 
 world                           annotation context: 0 background and empty, each label, uncertain
 world/camera                    pose and pinhole; /rgb /depth /labels are its images
-world/cloud                     the cleaned points, coloured
+world/cloud/objects             the cleaned points of the objects, coloured
+world/cloud/background          all other measured points
 world/table                     the table frame; the map's own frame
 world/table/hinges              hinge points
 world/table/samples/<class>     training samples: empty, <label>_<name>, uncertain
@@ -36,8 +37,9 @@ from reconstruction.slices import slice_uncertainty, table_axes
 
 Truth = Mapping[int, trimesh.Trimesh]
 TRUTH_COLOUR = (90, 200, 120, 110)
-HINGE_COLOUR = (40, 44, 52)
+HINGE_COLOUR = (226, 230, 236)
 SEGMENTATION_OPACITY = 0.45
+POINT_RADIUS, SAMPLE_RADIUS, HINGE_RADIUS = 0.0008, 0.0018, 0.0012  # [m]
 
 
 def record(reconstruction: Reconstruction, path: Path, truth: Truth | None = None) -> None:
@@ -116,8 +118,9 @@ def _log_classes(stream: Any, reconstruction: Reconstruction) -> int:
     objects = reconstruction.observation.objects
     taken = {item.label for item in objects}
     uncertain = next(number for number in range(65535, 0, -1) if number not in taken)
-    classes = [(0, "empty", EMPTY_COLOUR), (uncertain, "uncertain", UNCERTAIN_COLOUR)]
-    classes += [(item.label, item.name, object_colour(index)) for index, item in enumerate(objects)]
+    # Clear, so that the background of the label image shows the photo; empty samples carry their own colour.
+    classes = [(0, "empty", (*EMPTY_COLOUR, 0)), (uncertain, "uncertain", (*UNCERTAIN_COLOUR, 255))]
+    classes += [(item.label, item.name, (*object_colour(i), 255)) for i, item in enumerate(objects)]
     stream.log("world", _rerun().AnnotationContext(classes), static=True)
     return uncertain
 
@@ -137,20 +140,24 @@ def _log_camera(stream: Any, reconstruction: Reconstruction) -> None:
     stream.log("world/camera", rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]), pinhole, static=True)
     if frame.rgb is not None:
         stream.log("world/camera/rgb", rr.Image(frame.rgb), static=True)
-    stream.log("world/camera/depth", rr.DepthImage(np.nan_to_num(frame.depth), meter=1.0), static=True)
+    near, far = np.nanpercentile(frame.depth, [1, 99])  # a few stray pixels must not stretch the colours
+    depth = rr.DepthImage(np.nan_to_num(frame.depth), meter=1.0, depth_range=[near, max(far, near + 1e-3)])
+    stream.log("world/camera/depth", depth, static=True)
     segmentation = rr.SegmentationImage(observation.labels, opacity=SEGMENTATION_OPACITY)
     stream.log("world/camera/labels", segmentation, static=True)
-    kept = np.isfinite(observation.depth)
-    points = transform(T, camera.back_project(observation.depth)[kept])
-    colours = frame.rgb[kept] if frame.rgb is not None else EMPTY_COLOUR
-    stream.log("world/cloud", rr.Points3D(points, colors=colours, radii=0.0008), static=True)
+    points = transform(T, camera.back_project(observation.depth))
+    measured, labelled = np.isfinite(observation.depth), observation.labels > 0
+    for name, part in (("objects", measured & labelled), ("background", measured & ~labelled)):
+        colours = frame.rgb[part] if frame.rgb is not None else EMPTY_COLOUR
+        cloud = rr.Points3D(points[part], colors=colours, radii=POINT_RADIUS)
+        stream.log(f"world/cloud/{name}", cloud, static=True)
 
 
 def _log_map(stream: Any, reconstruction: Reconstruction, uncertain: int) -> None:
     """Hinge points, training samples by class, and how the fit went."""
     rr = _rerun()
     model = reconstruction.map
-    hinges = rr.Points3D(model.hinges, colors=HINGE_COLOUR, radii=0.0015)
+    hinges = rr.Points3D(model.hinges, colors=HINGE_COLOUR, radii=HINGE_RADIUS)
     stream.log("world/table/hinges", hinges, static=True)
     seen = reconstruction.observation.objects
     classes = reconstruction.sample_classes
@@ -159,10 +166,11 @@ def _log_map(stream: Any, reconstruction: Reconstruction, uncertain: int) -> Non
     numbers = [0, *(item.label for item in seen), uncertain]
     for index, (name, number) in enumerate(zip(names, numbers, strict=True)):
         points = reconstruction.samples[classes == index]
-        samples = rr.Points3D(points, class_ids=number, radii=0.002)
+        colours = EMPTY_COLOUR if index == 0 else None
+        samples = rr.Points3D(points, class_ids=number, colors=colours, radii=SAMPLE_RADIUS)
         stream.log(f"world/table/samples/{name}", samples, static=True)
     losses = model.report.losses
-    stream.log("fit/loss", rr.SeriesLines(colors=HINGE_COLOUR, names="loss", widths=2), static=True)
+    stream.log("fit/loss", rr.SeriesLines(colors=object_colour(0), names="loss", widths=2), static=True)
     if losses:
         steps = rr.TimeColumn("step", sequence=range(len(losses)))
         stream.send_columns("fit/loss", indexes=[steps], columns=rr.Scalars.columns(scalars=losses))

@@ -179,7 +179,7 @@ def cast(
             + config.head_light * np.abs(toward_eye)
         )
     if ground is not None:
-        light[~hit] = _ground_light(scene, ground, eye, directions, ~hit, lamp, config)[~hit]
+        light[~hit] = _ground_light(scene, ground, eye, directions, lamp, config)[~hit]
     return View(vertices, weights, hit, light, mesh_index, config)
 
 
@@ -225,22 +225,22 @@ def _ground_light(
     ground: tuple[np.ndarray, float],
     eye: np.ndarray,
     directions: np.ndarray,
-    visible: np.ndarray,
     lamp: np.ndarray,
     config: ShadingConfig,
 ) -> np.ndarray:
-    """Brightness (h, w) of the ground: 1 in the lamp's light, less in soft shadows."""
+    """Brightness (h, w) of the ground: 1 in the lamp's light, less in soft shadows; meshes are ignored."""
     import cv2
 
     normal, offset = np.asarray(ground[0], np.float32), float(ground[1])
-    slope = directions @ normal
+    # Soft shadows need no fine rays: one a pixel, blurred.
+    coarse = directions[:: config.supersampling, :: config.supersampling]
+    slope = coarse @ normal
     with np.errstate(divide="ignore", invalid="ignore"):
         reach = -(eye @ normal + offset) / slope
     on_ground = np.isfinite(reach) & (reach > 0)
-    points = eye + directions[on_ground] * reach[on_ground][:, None]
+    points = eye + coarse[on_ground] * reach[on_ground][:, None]
+    # Hidden ground under the meshes takes part in the blur, so that contact shadows stay dark.
     shadow = np.zeros(on_ground.shape, np.float32)
     shadow[on_ground] = _blocked(scene, points + 1e-3 * normal, lamp)
-    # Hidden ground under the meshes takes part in the blur, so that contact shadows stay dark.
-    sigma = config.shadow_blur * shadow.shape[0]
-    shadow = cv2.GaussianBlur(shadow, (0, 0), max(sigma, 1e-3))
-    return np.where(visible, 1 - config.shadow * shadow, 1.0)
+    shadow = cv2.GaussianBlur(shadow, (0, 0), max(config.shadow_blur * len(shadow), 1e-3))
+    return 1 - config.shadow * cv2.resize(shadow, directions.shape[1::-1], interpolation=cv2.INTER_LINEAR)

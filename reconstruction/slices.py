@@ -70,12 +70,12 @@ def table_axes(reconstruction: Reconstruction) -> np.ndarray:
 
 
 def slice_uncertainty(reconstruction: Reconstruction, config: SliceConfig | None = None) -> UncertaintySlice:
-    """Evaluate p(uncertain) on the horizontal plane through the objects' middle heights."""
+    """Evaluate p(uncertain) on the horizontal plane that cuts the most objects near their middles."""
     config = config or SliceConfig()
     axes = table_axes(reconstruction)
     base = reconstruction.T_world_table[:3, 3]
     bounds = np.array([_bounds((item.mesh.vertices - base) @ axes.T) for item in reconstruction.objects])
-    height = float(np.median(bounds[:, :, 2].mean(1)))
+    height = _shared_height(bounds[:, 0, 2], bounds[:, 1, 2])
     low = bounds[:, 0].min(0) - config.margin
     high = bounds[:, 1].max(0) + config.margin
     width = max(high[1] - low[1], (high[0] - low[0]) * config.aspect)
@@ -91,6 +91,18 @@ def slice_uncertainty(reconstruction: Reconstruction, config: SliceConfig | None
     table = transform(invert_rigid(reconstruction.T_world_table), lattice.reshape(-1, 3))
     values = reconstruction.map.predict_proba(table.astype(np.float32))[:, -1]
     return UncertaintySlice(np.asarray(values).reshape(rows, -1), origin, down, right, height)
+
+
+def _shared_height(low: np.ndarray, high: np.ndarray) -> float:
+    """The middle height of an object that cuts the most objects; of several, the one nearest their median.
+
+    low, high: (K,) heights [m] of the objects. A cut through the lowest or highest tenth does not count.
+    """
+    middle, rim = (low + high) / 2, (high - low) / 10
+    cuts = (middle[:, None] > low + rim) & (middle[:, None] < high - rim)  # (K heights, K objects)
+    count = cuts.sum(axis=1)
+    best = middle[count == count.max()]
+    return float(best[np.argmin(np.abs(best - np.median(middle)))])
 
 
 def _bounds(points: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from perception.camera import invert_rigid, transform
 from perception.observation import Skipped
 from reconstruction.overview import WIDTH, compose_overview, draw_overview
 from reconstruction.palette import object_colour, uncertainty_colours
-from reconstruction.slices import SliceConfig, slice_uncertainty, table_axes
+from reconstruction.slices import SliceConfig, _shared_height, slice_uncertainty, table_axes
 
 
 @pytest.fixture(scope="module")
@@ -93,3 +93,9 @@ def test_uncertainty_colours_grow_lighter_and_clip():
     assert (colours[0] == colours[1]).all()
     assert (colours[-1] == colours[-2]).all()
     assert (np.diff(luma[1:5]) > 20).all()
+
+
+def test_slice_height_cuts_as_many_objects_as_possible():
+    low, high = np.array([0.0, 0.0, 0.0]), np.array([0.20, 0.24, 0.06])  # two tall, one flat
+    assert _shared_height(low, high) == pytest.approx(0.03)
+    assert _shared_height(np.array([0.0, 0.3]), np.array([0.1, 0.4])) in (0.05, 0.35)  # one above the other

@@ -50,10 +50,14 @@ def test_every_documented_entity_is_there(chunks, reconstruction):
     wanted = {
         "/world",
         "/world/camera",
-        "/world/cloud",
+        "/world/cloud/objects",
+        "/world/cloud/background",
         "/world/table",
         "/world/table/hinges",
         "/world/slice",
+        "/fit/loss",
+        "/timings",
+        "/summary",
     }
     wanted |= {f"/world/camera/{image}" for image in ("rgb", "depth", "labels")}
     wanted |= {f"/world/table/samples/{name}" for name in ("empty", "uncertain", *KEYS)}
