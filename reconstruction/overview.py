@@ -186,6 +186,7 @@ def _slice_panel(
         draw(item.mesh, (255, 255, 255), 5)
         draw(item.mesh, _colour(item), 3)
     for mesh in (truth or {}).values():
+        draw(mesh, (255, 255, 255), 2, dash=True)  # a light rim, to be seen on dark blue
         draw(mesh, (20, 20, 24), 1, dash=True)
     panel = Image.fromarray(canvas)
     bar = 0.1 / section.spacing * zoom[0]
