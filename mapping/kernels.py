@@ -78,9 +78,9 @@ def dense_features(X: torch.Tensor, hinges: torch.Tensor, gamma: torch.Tensor) -
     return squared.mul_(-gamma).exp_()
 
 
-def reach(gamma: np.ndarray, cutoff: float) -> np.ndarray:
+def reach(gamma: np.ndarray | float, cutoff: float) -> np.ndarray:
     """Distance beyond which a feature is below `cutoff`."""
-    return np.sqrt(-np.log(cutoff) / gamma)
+    return np.sqrt(-np.log(cutoff) / np.asarray(gamma))
 
 
 def blocks(

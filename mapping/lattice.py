@@ -70,7 +70,7 @@ class _HingeLattice:
     weights: torch.Tensor
 
     def evaluate(self, axes: Axes) -> torch.Tensor | None:
-        radius = float(reach(np.float64(self.gamma), CUTOFF))
+        radius = float(reach(self.gamma, CUTOFF))
         tensor = self.weights
         tables = []
         for i, (axis, places) in enumerate(zip(axes, self.places)):
@@ -95,7 +95,7 @@ class _ScatteredHinges:
     def evaluate(self, axes: Axes) -> torch.Tensor | None:
         low, high = np.array([a[0] for a in axes]), np.array([a[-1] for a in axes])
         gap = np.maximum(np.maximum(low - self.hinges, self.hinges - high), 0)
-        near = np.flatnonzero((gap**2).sum(1) < reach(np.float64(self.gamma), CUTOFF) ** 2)
+        near = np.flatnonzero((gap**2).sum(1) < reach(self.gamma, CUTOFF) ** 2)
         if len(near) == 0:
             return None
         weights = self.weights[torch.from_numpy(near).to(self.weights.device)]

@@ -101,7 +101,7 @@ def _object_space(observation: Observation, margin: float) -> tuple[np.ndarray, 
 
 def _object_field(field: Field, index: int, item: ObservedObject, bounds: np.ndarray) -> ObjectField:
     """The lattice around one object, two nodes wider than its mesh."""
-    window = field.window(*bounds, pad=2)
+    window = field.window(bounds[0], bounds[1], pad=2)
     first = np.array([w.start for w in window])
     odds = field.log_odds[(index, *window)]
     return ObjectField(

@@ -57,10 +57,11 @@ def latency(
     counted = runs[1:]
     stages = {stage: round(median(run[stage] for run in counted), 2) for stage in counted[0]}
     total = stages.pop("total")
-    figures = {
+    spread = [round(pick(run["total"] for run in counted), 2) for pick in (min, max)]
+    figures: dict[str, object] = {
         "total_ms": total,
         "stages_ms": stages,
-        "spread_ms": [round(pick(run["total"] for run in counted), 2) for pick in (min, max)],
+        "spread_ms": spread,
         "peak_rss_mb": round(_peak_rss_mb(), 1),
         "objects": len(reconstruction.objects),
         "samples": len(reconstruction.samples),
@@ -76,7 +77,7 @@ def latency(
     print(f"{figures['objects']} objects, {figures['threads']} threads, medians of {repeat} runs")
     for stage, ms in stages.items():
         print(f"  {stage:8} {ms:8.1f} ms" + ("  (not in the total)" if stage == "load" else ""))
-    print(f"  {'total':8} {total:8.1f} ms  ({figures['spread_ms'][0]:.0f}-{figures['spread_ms'][1]:.0f})")
+    print(f"  {'total':8} {total:8.1f} ms  ({spread[0]:.0f}-{spread[1]:.0f})")
     print(f"  peak memory {figures['peak_rss_mb']:.0f} MB")
     write_json(figures, json)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -12,6 +13,10 @@ from tools.demo import demo
 from tools.map_frame import map_frame
 from tools.simulate import fetch_ycb, scenes
 from tools.view import view
+
+# torch's OpenMP threads spin while they wait; on a busy machine that slows the fit's many short steps down
+# ten times. Read when torch is first imported, so it stands before anything that could.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 Command = Callable[..., Any]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import tyro
@@ -64,23 +64,20 @@ def demo(
 
 def compare(
     reconstruction: Reconstruction, truth: dict[int, Trimesh], rng: np.random.Generator
-) -> list[dict[str, object]]:
-    """IoU (5 mm lattice), Chamfer distance [mm] and mean uncertainty of each true object."""
+) -> list[dict[str, Any]]:
+    """IoU (5 mm lattice), Chamfer distance [mm] and mean uncertainty of each true object; None: no mesh."""
     from reconstruction.metrics import chamfer
 
     found = {item.label: item for item in reconstruction.objects}
-    rows: list[dict[str, object]] = []
+    rows: list[dict[str, Any]] = []
     for label, mesh in truth.items():
-        item = found.get(label)
-        rows.append(
-            {
-                "label": label,
-                "name": item.name if item else reconstruction.frame.name_of(label),
-                "iou": mesh_iou(item.mesh, mesh) if item else 0.0,
-                "chamfer_mm": 1e3 * chamfer(item.mesh, mesh, rng=rng) if item else None,
-                "mean_uncertainty": item.mean_uncertainty if item else None,
-            }
-        )
+        row: dict[str, Any] = {"label": label, "name": reconstruction.frame.name_of(label), "iou": 0.0}
+        row |= {"chamfer_mm": None, "mean_uncertainty": None}
+        if item := found.get(label):
+            row["iou"] = mesh_iou(item.mesh, mesh)
+            row["chamfer_mm"] = 1e3 * chamfer(item.mesh, mesh, rng)
+            row["mean_uncertainty"] = item.mean_uncertainty
+        rows.append(row)
     return rows
 
 
@@ -94,20 +91,16 @@ def mesh_iou(predicted: Trimesh, true: Trimesh, spacing: float = 0.005) -> float
     return iou_on_grid(inside(predicted, points), true, points)
 
 
-def _print_comparison(rows: list[dict[str, object]]) -> None:
+def _print_comparison(rows: list[dict[str, Any]]) -> None:
     print(f"\n{'label':>5}  {'name':28} {'IoU':>5}  Chamfer [mm]  mean uncertainty")
+    mapped = [row for row in rows if row["chamfer_mm"] is not None]
+    mean = {key: np.mean([row[key] for row in mapped]) for key in ("chamfer_mm", "mean_uncertainty")}
+    mean |= {"label": "", "name": "mean", "iou": np.mean([row["iou"] for row in rows])}
+    for row in [*mapped, mean]:
+        print(
+            f"{row['label']:>5}  {row['name']:28.28} {row['iou']:5.2f}  {row['chamfer_mm']:12.1f}"
+            f"  {row['mean_uncertainty']:16.2f}"
+        )
     for row in rows:
-        if row["chamfer_mm"] is None:
-            print(f"{row['label']:>5}  {row['name']:28.28} {0.0:5.2f}  missing")
-        else:
-            print(
-                f"{row['label']:>5}  {row['name']:28.28} {row['iou']:5.2f}  {row['chamfer_mm']:12.1f}"
-                f"  {row['mean_uncertainty']:16.2f}"
-            )
-    means = [float(np.mean([row[key] or 0.0 for row in rows])) for key in ("iou", "mean_uncertainty")]  # type: ignore[arg-type]
-    missing = sum(row["chamfer_mm"] is None for row in rows)
-    chamfers = [row["chamfer_mm"] for row in rows if row["chamfer_mm"] is not None]
-    print(
-        f"{'':5}  {'mean':28} {means[0]:5.2f}  {np.mean(chamfers):12.1f}  {means[1]:16.2f}"
-        f"  ({missing} missing)"
-    )
+        if row not in mapped:
+            print(f"missing: {row['label']} {row['name']}")

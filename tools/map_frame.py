@@ -47,7 +47,7 @@ def map_frame(
         depth: Depth image, instead of FRAME: 16-bit PNG or float .npy.
         labels: 16-bit instance labels, 0 = background; without them the depth is segmented.
         intrinsics: Focal lengths and principal point [px], with --depth.
-        depth_scale: Metres per stored depth unit (0.001 for millimetres), with --depth.
+        depth_scale: Metres per stored depth unit, with --depth; 0.001 (millimetres) by default.
         preset: tabletop (default) or paper (samples and hinge points as published).
         device: cpu, cuda or auto.
         seed: Same seed, same meshes.
@@ -107,6 +107,6 @@ def _load(
                 "--rgb, --labels, --intrinsics and --depth-scale go with --depth, not with FRAME"
             )
         return load_frame(frame)
-    if intrinsics is None:
+    if depth is None or intrinsics is None:
         raise ConfigError("--depth needs --intrinsics FX FY CX CY")
-    return load_images(depth=depth, rgb=rgb, labels=labels, intrinsics=intrinsics, depth_scale=depth_scale)
+    return load_images(rgb, depth, labels, intrinsics, 0.001 if depth_scale is None else depth_scale)
