@@ -105,7 +105,7 @@ class Split:
 def split_log(
     log: LaserLog, landscape: Landscape, beams: BeamConfig, run: int, rng: np.random.Generator
 ) -> Split:
-    """Nine tenths of the scans to train on, the rest to test on, and as many noise points as training points."""
+    """Nine tenths of the scans train, the rest test; there are as many noise points as training points."""
     parts, outside = [], 0
     for scans in split_scans(len(log.poses), rng, run=run):
         X, y = occupancy_samples(log, rng, scans, beams)

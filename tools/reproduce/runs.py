@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,20 @@ def cached_run(
     result = compute()
     write_json(path, {"settings": settings, "result": result})
     return result
+
+
+class Stopwatch:
+    """Wall-clock and processor time [s] since it was made."""
+
+    def __init__(self) -> None:
+        self._wall, self._processor = time.perf_counter(), time.process_time()
+
+    def figures(self, name: str) -> dict[str, float]:
+        """{"<name>_s": wall-clock time, "<name>_cpu_s": time of all this process's threads}."""
+        return {
+            f"{name}_s": time.perf_counter() - self._wall,
+            f"{name}_cpu_s": time.process_time() - self._processor,
+        }
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
