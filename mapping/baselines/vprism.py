@@ -139,12 +139,12 @@ class VPrism:
                 # In float64: the prior's 1e-4 must survive next to sums of some hundred.
                 phi = group.phi.double()
                 weighted = phi.T * weights[group.rows].T[:, None, :]  # (K, h, n)
-                into = (slice(None), group.columns[:, None], group.columns[None, :])
-                precision[into] += weighted @ phi
+                gram = (weighted @ phi).flatten(1)
+                precision.view(len(precision), -1).index_add_(1, self._pairs(group.columns), gram)
                 information[:, group.columns] += target[group.rows].T.double() @ phi
             factor = torch.linalg.cholesky(precision)
             self.mu = torch.cholesky_solve(information[..., None], factor)[..., 0]
-            self.covariance = torch.cholesky_inverse(factor)
+            self.covariance = torch.cholesky_inverse(factor).contiguous()
             self.precision, self._information = precision, information
 
     def _variational(self, groups: list[_Group], xi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -166,10 +166,14 @@ class VPrism:
         columns = group.columns
         mean = group.phi.double() @ self.mu[:, columns].T
         # phi^T Sigma phi cancels in float32, where Sigma reaches 1e4; the squares of L^T phi do not.
-        part = self.covariance[:, columns[:, None], columns[None, :]]
-        root = torch.linalg.cholesky(part).float()  # (K, h, h)
+        part = self.covariance.view(self.class_count, -1).index_select(1, self._pairs(columns))
+        root = torch.linalg.cholesky(part.view(-1, len(columns), len(columns))).float()  # (K, h, h)
         variance = (group.phi @ root).square_().sum(2).T
         return mean.float(), variance
+
+    def _pairs(self, columns: torch.Tensor) -> torch.Tensor:
+        """Positions (h * h,) of all pairs of columns in a flattened (H, H) matrix."""
+        return (columns[:, None] * self._information.shape[1] + columns).flatten()
 
     def _groups(self, X: np.ndarray) -> Iterator[_Group]:
         """Points in cells of `cell` and the features they see, the bias last."""
