@@ -42,8 +42,8 @@ class MapConfig:
     """Weight of the squared norm of W beside the mean cross-entropy."""
     far_uncertainty: float | None = 0.95
     """p(uncertain) out of reach of every hinge point; None gives every class the same share there."""
-    empty_bias: float = 0.0
-    """Log odds of class 0 against the other known classes together where the kernels vanish."""
+    empty_log_odds: float | None = None
+    """Log odds of class 0 against the other known classes together where the kernels vanish; None: all equal."""
     fit: FitConfig = field(default_factory=FitConfig)
     """How the loss is minimised."""
     device: str = "auto"
@@ -179,7 +179,9 @@ class ContraMap:
         # Kernels vanish far away and leave softmax(offset): fixed, not fitted, so that a query out of reach
         # of every hinge point answers "uncertain" however the training data were balanced.
         offset = torch.zeros(count, device=self.device)
-        empty = self.config.empty_bias + float(np.log(max(count - 2, 1)))
+        empty = 0.0
+        if self.config.empty_log_odds is not None:
+            empty = self.config.empty_log_odds + float(np.log(max(count - 2, 1)))
         offset[0] = empty
         share = self.config.far_uncertainty
         if share is not None and count > 1:

@@ -20,7 +20,8 @@ def lattice_near_centres(centres: np.ndarray, radius: float, spacing: float) -> 
     lattice = lattice_in_box(centres.min(0) - radius, centres.max(0) + radius, spacing)
     near = np.zeros(len(lattice), bool)
     for centre in centres.astype(np.float32):
-        near |= ((lattice - centre) ** 2).sum(1) <= radius**2
+        # A micrometre of slack: float32 must not decide about points exactly on the sphere.
+        near |= ((lattice - centre) ** 2).sum(1) <= (radius + 1e-6) ** 2
     return lattice[near]
 
 

@@ -16,8 +16,8 @@ FIT_CUTOFF = 1e-3
 """Features below this are dropped while fitting: 20-50 of thousands remain a row."""
 PREDICT_CUTOFF = 1e-7
 """Features below this are dropped while predicting: below float32 rounding of the logits."""
-GRAM_STRIDE = 3
-"""The Gram matrix only guides the fit's steps: every third row will do."""
+GRAM_ROWS_PER_HINGE, GRAM_LEAST_ROWS = 2, 4000
+"""The Gram matrix is estimated from at least this many rows."""
 
 
 @dataclass(frozen=True)
@@ -37,12 +37,15 @@ class SparseFeatures:
     transposed_values: torch.Tensor  # (nnz,)
 
     def gram(self, row_weights: torch.Tensor) -> torch.Tensor:
-        """Estimate of sum_i w_i phi_i phi_i^T, (H, H), from every GRAM_STRIDE-th row; row_weights: (N,)."""
+        """Estimate of sum_i w_i phi_i phi_i^T, (H, H); row_weights: (N,)."""
+        # It only guides the fit's steps: of many rows a part will do.
+        count = len(self.transposed_offsets)
+        stride = max(1, len(self.order) // max(GRAM_ROWS_PER_HINGE * count, GRAM_LEAST_ROWS))
         offsets = np.append(self.offsets.cpu().numpy(), len(self.values))
         shape = (len(self.order), len(self.transposed_offsets))
         rows = sparse.csr_matrix((self.values.cpu().numpy(), self.columns.cpu().numpy(), offsets), shape)
-        rows = rows[::GRAM_STRIDE]
-        weights = GRAM_STRIDE * row_weights.cpu().numpy()[::GRAM_STRIDE]
+        rows = rows[::stride]
+        weights = stride * row_weights.cpu().numpy()[::stride]
         gram = (rows.T.tocsr() @ rows.multiply(weights[:, None]).tocsr()).toarray()
         return torch.from_numpy(gram).to(self.values.device)
 

@@ -20,7 +20,7 @@ class PipelineConfig:
     """Cleaning, support plane, fallback segmentation."""
     samples: TabletopSamples | PaperSamples = field(default_factory=TabletopSamples)
     """Hinge points and training samples."""
-    map: MapConfig = field(default_factory=lambda: MapConfig(empty_bias=2.0))
+    map: MapConfig = field(default_factory=lambda: MapConfig(empty_log_odds=2.0))
     """The kernel softmax map and its fit."""
     mesh: MeshConfig = field(default_factory=MeshConfig)
     """Lattice and surface extraction."""

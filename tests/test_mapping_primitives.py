@@ -1,0 +1,104 @@
+"""Hinge placement, sampling primitives and the preconditioner."""
+
+import numpy as np
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mapping.hinges import lattice_in_box, lattice_near_centres, lattice_near_points, random_subset
+from mapping.preconditioner import NEIGHBOURS, sparse_factor
+from mapping.samples import along_rays, jittered_lattice, shift_along_rays, voxel_subsample, within
+
+
+def test_lattice_in_box_holds_the_multiples_of_the_spacing():
+    points = lattice_in_box(np.array([-0.1, 0.0]), np.array([0.1, 0.05]), 0.05)
+    assert len(points) == 5 * 2
+    np.testing.assert_allclose(points / 0.05, np.rint(points / 0.05), atol=1e-5)
+
+
+def test_lattice_near_points_agrees_with_distances():
+    points = np.random.default_rng(0).uniform(-0.2, 0.2, (30, 3))
+    near = lattice_near_points(points, 0.06, 0.03)
+    distance = np.linalg.norm(near[:, None] - points[None], axis=2).min(1)
+    # Distances are measured from the lattice cell that holds a point, half a diagonal of error at most.
+    assert distance.max() <= 0.06 + 0.03 * np.sqrt(3) / 2
+    lattice = lattice_in_box(points.min(0) - 0.1, points.max(0) + 0.1, 0.03)
+    sure = lattice[np.linalg.norm(lattice[:, None] - points[None], axis=2).min(1) < 0.03]
+    found = {tuple(p) for p in np.rint(near / 0.03).astype(int)}
+    assert all(tuple(p) in found for p in np.rint(sure / 0.03).astype(int))
+
+
+def test_lattice_near_centres_stays_within_the_radius():
+    centres = np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
+    near = lattice_near_centres(centres, 0.15, 0.05)
+    assert np.linalg.norm(near[:, None] - centres[None], axis=2).min(1).max() <= 0.15 + 1e-6
+    assert len(near) == 2 * len(lattice_near_centres(centres[:1], 0.15, 0.05))
+
+
+def test_random_subset_is_reproducible_and_without_repeats():
+    points = np.arange(60.0).reshape(20, 3)
+    drawn = [random_subset(points, 7, np.random.default_rng(4)) for _ in range(2)]
+    np.testing.assert_array_equal(*drawn)
+    assert len(np.unique(drawn[0], axis=0)) == 7
+    assert random_subset(points, 99, np.random.default_rng(4)) is points
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(1, 200), st.floats(0.01, 0.5), st.integers(0, 9))
+def test_voxel_subsample_keeps_one_point_a_voxel(count, size, seed):
+    points = np.random.default_rng(seed).uniform(0, 1, (count, 3))
+    kept = voxel_subsample(points, size, np.random.default_rng(seed))
+    cells = np.floor((points - points.min(0)) / size).astype(int)
+    assert len(np.unique(cells[kept], axis=0)) == len(kept) == len(np.unique(cells, axis=0))
+
+
+def test_shift_along_rays_moves_along_the_ray():
+    origin = np.array([0.0, 0.0, 1.0])
+    points = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    moved = shift_along_rays(origin, points, 0.1)
+    np.testing.assert_allclose(np.linalg.norm(moved - points, axis=1), 0.1)
+    np.testing.assert_allclose(moved[0], [0, 0, -0.1])
+
+
+def test_along_rays_fills_each_ray_before_its_end():
+    origin = np.zeros(3)
+    points = np.array([[1.0, 0.0, 0.0], [0.0, 0.35, 0.0]])
+    free = along_rays(origin, points, 0.1, 0.0, np.random.default_rng(0))
+    on_first = free[np.abs(free[:, 1]) < 1e-9]
+    assert len(on_first) == 10
+    np.testing.assert_array_equal(np.floor(np.sort(on_first[:, 0]) / 0.1), np.arange(10))
+    assert free[:, 1].max() < 0.35
+
+
+def test_jittered_lattice_is_even():
+    points = jittered_lattice(np.zeros(3), np.ones(3), 0.1, np.random.default_rng(0))
+    cells = np.floor(points / 0.1).astype(int)
+    assert len(points) == len(np.unique(cells, axis=0)) == 1000
+
+
+def test_within_agrees_with_distances():
+    rng = np.random.default_rng(0)
+    points, centres = rng.uniform(-1, 1, (200, 3)), rng.uniform(-1, 1, (3, 3))
+    expected = np.linalg.norm(points[:, None] - centres[None], axis=2).min(1) <= 0.4
+    np.testing.assert_array_equal(within(points, centres, 0.4), expected)
+
+
+def test_the_factor_is_exact_when_every_row_couples_to_all_earlier_ones():
+    rng = np.random.default_rng(0)
+    count = NEIGHBOURS  # each row has at most this many earlier ones
+    places = rng.uniform(0, 1, (count, 3))
+    gram = np.exp(-20 * ((places[:, None] - places[None]) ** 2).sum(2)) + 0.01 * np.eye(count)
+    factor = sparse_factor(torch.from_numpy(gram.astype(np.float32)), places)
+    G = factor.pull(torch.eye(count)).numpy()
+    np.testing.assert_allclose(G @ gram @ G.T, np.eye(count), atol=2e-3)
+    np.testing.assert_allclose(factor.push(torch.eye(count)).numpy(), G.T, atol=1e-6)
+
+
+def test_the_factor_improves_the_condition_number():
+    axis = np.arange(0, 0.5, 0.05)
+    places = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
+    squared = ((places[:, None] - places[None]) ** 2).sum(2)
+    gram = np.exp(-500 * squared) + 1e-3 * np.eye(len(places))
+    factor = sparse_factor(torch.from_numpy(gram.astype(np.float32)), places)
+    G = factor.pull(torch.eye(len(places))).numpy().astype(float)
+    assert np.linalg.cond(G @ gram @ G.T) < 0.1 * np.linalg.cond(gram)
