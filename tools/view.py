@@ -8,16 +8,21 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from mapping.errors import ConfigError, DataError
 from reconstruction.result_folder import RECORDING, load_result
 
 
-def view(result: Path) -> None:
-    """Open a result folder's recording, made from its meshes when the run was not recorded.
+def view(result: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULT")]) -> None:
+    """Open a result in the rerun viewer; without a display, say how to look at it elsewhere.
 
-    result: a result folder, or a recording (.rrd). Without a display it prints the recording's path and what
-    to type where there is one. Raises DataError when it is neither, ConfigError when rerun is not installed.
+    Example: contramap view demo_out/result
+
+    Args:
+        result: Result folder or recording (.rrd); a run without a recording gets one made from its meshes.
     """
     recording = find_recording(Path(result))
     print(f"recording: {recording}")

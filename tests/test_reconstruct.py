@@ -1,0 +1,158 @@
+"""The pipeline's promises: determinism, invariances, closed meshes, honest uncertainty, skips."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from conftest import make_tabletop
+from solids import reconstructed_tabletop, true_meshes
+
+from mapping import ConfigError, FrameError
+from perception.camera import Camera, transform
+from perception.space import Region, Space
+from reconstruction import preset, reconstruct
+from reconstruction.config import override
+from reconstruction.metrics import chamfer
+
+SIZE = (240, 180)
+
+
+@pytest.fixture(scope="module")
+def frame():
+    return make_tabletop(size=SIZE).frame
+
+
+@pytest.fixture(scope="module")
+def result():
+    return reconstructed_tabletop()
+
+
+def farthest(a: trimesh.Trimesh, b: trimesh.Trimesh) -> float:
+    """Largest distance [m] of a vertex of one mesh from the other's vertices, both ways."""
+    from scipy.spatial import cKDTree
+
+    there = cKDTree(b.vertices).query(a.vertices)[0].max()
+    return float(max(there, cKDTree(a.vertices).query(b.vertices)[0].max()))
+
+
+@pytest.mark.parametrize("name", ["tabletop", "paper"])
+def test_every_object_is_a_closed_mesh_near_the_truth(frame, name):
+    result = reconstruct(frame, preset(name))
+    truth = true_meshes()
+    assert sorted(item.label for item in result.objects) == sorted(truth)
+    for item in result.objects:
+        assert item.watertight
+        assert item.mesh.volume > 0
+        assert item.uncertainty.shape == (len(item.mesh.vertices),)
+        assert 0 <= item.uncertainty.min() <= item.uncertainty.max() <= 1
+        assert chamfer(item.mesh, truth[item.label], rng=np.random.default_rng(0)) < 0.035
+
+
+def test_same_seed_same_bytes(frame, result):
+    again = reconstruct(frame)
+    for a, b in zip(result.objects, again.objects, strict=True):
+        assert a.mesh.vertices.tobytes() == b.mesh.vertices.tobytes()
+        assert a.mesh.faces.tobytes() == b.mesh.faces.tobytes()
+        assert a.uncertainty.tobytes() == b.uncertainty.tobytes()
+
+
+def test_renumbered_labels_give_the_same_meshes(frame, result):
+    table = np.arange(65536).astype(np.uint16)
+    table[1:5] = [900, 7, 31, 2]
+    renumbered = reconstruct(replace(frame, labels=table[frame.labels], names={}))
+    found = {item.label: item for item in renumbered.objects}
+    for item in result.objects:
+        assert farthest(item.mesh, found[int(table[item.label])].mesh) < 5e-4
+
+
+def test_another_world_frame_moves_the_meshes_with_it(frame, result):
+    T = trimesh.transformations.rotation_matrix(1.1, [0.3, -0.5, 0.8])
+    T[:3, 3] = [3.0, -2.0, 0.7]
+    camera = frame.camera
+    moved_camera = Camera(camera.K, camera.width, camera.height, T @ camera.T_world_camera)
+    moved = reconstruct(replace(frame, camera=moved_camera))
+    for a, b in zip(result.objects, moved.objects, strict=True):
+        np.testing.assert_allclose(transform(T, np.asarray(a.mesh.vertices)), b.mesh.vertices, atol=2e-3)
+        np.testing.assert_allclose(T @ a.T_world_object, b.T_world_object, atol=2e-3)
+
+
+def test_seen_surface_is_certain_and_hidden_space_is_not(result):
+    space = Space.of(result.observation)
+    seen = np.concatenate([item.points for item in result.observation.objects])
+    u = result.map.predict_proba(seen)[:, -1]
+    assert np.median(u) < 0.1
+    low, high = seen.min(0), seen.max(0)
+    points = np.random.default_rng(0).uniform(low, high, (4000, 3)).astype(np.float32)
+    region = space.classify(points)
+    u = result.map.predict_proba(points)[:, -1]
+    assert np.median(u[region == Region.OCCLUDED]) > np.median(u[region == Region.FREE]) + 0.2
+
+
+def test_far_from_everything_is_uncertain(result):
+    assert result.map.predict_proba(np.array([[9.0, 9.0, 9.0]]))[0, -1] > 0.9
+    query = result.query(np.array([[9.0, 9.0, 9.0]]))
+    assert query.label.tolist() == [-1]
+
+
+def test_query_answers_in_the_world_frame(result):
+    for item in result.objects:
+        # A seen surface point, a little inside along its ray.
+        observed = next(o for o in result.observation.objects if o.label == item.label)
+        origin = Space.of(result.observation).origin
+        point = observed.points[len(observed.points) // 2].astype(float)
+        inside = point + 0.006 * (point - origin) / np.linalg.norm(point - origin)
+        before = point - 0.02 * (point - origin) / np.linalg.norm(point - origin)
+        query = result.query(transform(result.T_world_table, np.stack([inside, before])))
+        assert query.label.tolist() == [item.label, 0]
+        assert query.occupancy[0] > 0.5 > query.occupancy[1]
+        assert query.gradient.shape == (2, 3)
+
+
+def test_vertices_lie_where_the_map_is_undecided(result):
+    item = result.objects[0]
+    local = transform(np.linalg.inv(result.T_world_table), np.asarray(item.mesh.vertices)[::50])
+    p = result.map.predict_proba(local)[:, :-1]
+    share = p[:, item.class_index] / p.sum(1)
+    assert np.median(np.abs(share - 0.5)) < 0.05
+
+
+def test_keeping_only_what_is_sure_leaves_a_smaller_closed_mesh(frame, result):
+    sure = reconstruct(frame, override(preset("tabletop"), {"mesh": {"max_uncertainty": 0.3}}))
+    volume = {item.label: item.mesh.volume for item in result.objects}
+    for item in sure.objects:
+        assert item.watertight
+        assert item.mesh.volume < volume[item.label]
+        assert np.quantile(item.uncertainty, 0.9) < 0.45
+
+
+def test_a_tiny_object_is_skipped_and_the_others_are_delivered(frame):
+    labels = frame.labels.copy()
+    rows, columns = np.nonzero(labels == 2)
+    labels[rows[5:], columns[5:]] = 0
+    result = reconstruct(replace(frame, labels=labels))
+    assert [s.label for s in result.skipped] == [2]
+    assert "pixels" in result.skipped[0].reason
+    assert sorted(item.label for item in result.objects) == [1, 3, 4]
+
+
+def test_a_frame_of_tiny_objects_is_refused(frame):
+    labels = np.zeros_like(frame.labels)
+    labels[:2, :3] = 1
+    with pytest.raises(FrameError):
+        reconstruct(replace(frame, labels=labels))
+
+
+def test_unknown_settings_name_the_valid_ones():
+    with pytest.raises(ConfigError, match=r"mesh\.spacin.*spacing"):
+        override(preset("tabletop"), {"mesh": {"spacin": 0.1}})
+    with pytest.raises(ConfigError, match="paper, tabletop"):
+        preset("nonsense")
+
+
+def test_diagnostics_are_complete(result):
+    assert {"observe", "space", "samples", "fit", "field", "mesh", "total"} <= set(result.timings_ms)
+    assert result.map.report.converged
+    assert result.map.report.losses[-1] < result.map.report.losses[0]
+    assert len(result.samples) == len(result.sample_classes)
+    assert result.config["preset"] == "tabletop"
