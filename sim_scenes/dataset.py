@@ -62,8 +62,14 @@ def object_source(objects: str = "auto", ycb_dir: str | Path | None = None) -> O
     names = ycb.list_models(folder)
 
     def draw(count: int, rng: np.random.Generator) -> list[ObjectModel]:
-        chosen = rng.choice(len(names), size=min(count, len(names)), replace=False)
-        return [ycb.load_ycb(folder, names[index]) for index in chosen]
+        chosen: list[ObjectModel] = []
+        for index in rng.permutation(len(names)):
+            model = ycb.load_ycb(folder, names[index])
+            if model.connected:  # transparent bottles were scanned in pieces
+                chosen.append(model)
+            if len(chosen) == count:
+                break
+        return chosen
 
     return ObjectSource("ycb", draw, folder)
 

@@ -13,6 +13,11 @@ import trimesh
 from mapping.errors import DataError
 
 GREY = np.array([170, 170, 170], np.uint8)
+"""Colour of meshes without one."""
+SMOOTH_ANGLE_COSINE = 0.8
+"""Corners where the surface turns more than this keep their edge when shaded."""
+MOST_CORNERS = 24
+"""Triangles that meet in a vertex beyond this number are left out when its normal is smoothed."""
 
 
 @dataclass(frozen=True)
@@ -22,6 +27,7 @@ class ObjectModel:
     name: unique in its source. source: "ycb" or "builtin". mesh: merged geometry, watertight if possible.
     corner_uv: (F, 3, 2) texture coordinates per triangle corner with texture (H, W, 3) uint8, or None;
     vertex_colors: (V, 3) uint8, used when there is no texture. path: the file it came from, or None.
+    parts: points (N, 3) [m] of convex parts that make up the object, if known; else physics finds them.
     """
 
     name: str
@@ -31,11 +37,22 @@ class ObjectModel:
     corner_uv: np.ndarray | None = field(default=None, repr=False)
     texture: np.ndarray | None = field(default=None, repr=False)
     path: Path | None = None
+    parts: tuple[np.ndarray, ...] = field(default=(), repr=False)
 
     @cached_property
     def watertight(self) -> bool:
         """Whether inside and outside of the mesh are well defined."""
         return is_closed(self.mesh)
+
+    @cached_property
+    def connected(self) -> bool:
+        """Whether the mesh is one piece; scans of transparent objects may fall apart."""
+        return bool(self.mesh.body_count == 1)
+
+    @cached_property
+    def corner_normals(self) -> np.ndarray:
+        """Unit normals (F, 3, 3) per triangle corner, for shading: smooth, but sharp along edges."""
+        return corner_normals(self.mesh)
 
     @cached_property
     def center_of_mass(self) -> np.ndarray:
@@ -63,6 +80,29 @@ def is_closed(mesh: trimesh.Trimesh) -> bool:
     direction = np.where(edges[:, 0] == low, 1, -1)
     _, inverse = np.unique(low * (len(mesh.vertices) + 1) + high, return_inverse=True)
     return bool((np.bincount(inverse, weights=direction) == 0).all())
+
+
+def corner_normals(mesh: trimesh.Trimesh) -> np.ndarray:
+    """Unit normals (F, 3, 3) per triangle corner: smooth, but sharp where the surface has an edge."""
+    faces, flat = np.asarray(mesh.faces), np.asarray(mesh.face_normals)
+    areas = np.asarray(mesh.area_faces)
+    # Corners that share a vertex lie next to each other once sorted by vertex; pair each with the next ones.
+    order = np.argsort(faces.ravel(), kind="stable")
+    vertex, face = faces.ravel()[order], order // 3
+    total = areas[face, None] * flat[face]
+    for step in range(1, MOST_CORNERS):
+        same = vertex[step:] == vertex[:-step]
+        if not same.any():
+            break
+        first, second = np.flatnonzero(same), np.flatnonzero(same) + step
+        alike = np.einsum("nd,nd->n", flat[face[first]], flat[face[second]]) > SMOOTH_ANGLE_COSINE
+        first, second = first[alike], second[alike]
+        np.add.at(total, first, areas[face[second], None] * flat[face[second]])
+        np.add.at(total, second, areas[face[first], None] * flat[face[first]])
+    normals = np.empty_like(total)
+    normals[order] = total
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
+    return normals.reshape(-1, 3, 3).astype(np.float32)
 
 
 def load_model(path: Path, name: str, source: str, scale: float = 1.0) -> ObjectModel:

@@ -7,20 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from perception.camera import Camera
 from sim_scenes.object_model import ObjectModel
-from sim_scenes.shading import Surface, shade
+from sim_scenes.shading import Surface, cast_shadows, shade
 from sim_scenes.surroundings import Surroundings
 from sim_scenes.tabletop import PlacedObject
 
-SMOOTH_ANGLE_COSINE = 0.8
-"""Corners where the surface turns more than this keep their edge when shaded."""
-MOST_CORNERS = 24
-"""Triangles that meet in a vertex beyond this number are left out when its normal is smoothed."""
+FINE = 3
+"""Rays per pixel along each axis where the image varies."""
+FINE_CONTRAST = 0.12
+"""Difference in brightness (0..3) to a neighbouring pixel above which a pixel gets more rays."""
 
 
 @dataclass(frozen=True)
@@ -91,10 +90,6 @@ class Renderer:
         for vertices, faces in surroundings.meshes():
             self._add(vertices, faces)
 
-    @cached_property
-    def _normals(self) -> list[np.ndarray]:
-        return [corner_normals(model) for model in self._models]
-
     def _add(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         self.scene.add_triangles(
             self._tensor(np.ascontiguousarray(vertices, np.float32)),
@@ -106,35 +101,46 @@ class Renderer:
 
         Label k is the k-th object, counted from 1.
         """
-        hits = self._cast(camera, camera.rays)
+        _, hits = self._cast(camera, camera.rays)
         depth = hits["t_hit"].numpy()
         ids = hits["geometry_ids"].numpy()
         labels = np.where(ids < len(self._models), ids + 1, 0).astype(np.uint16)
         return np.where(np.isfinite(depth), depth, np.nan).astype(np.float32), labels
 
-    def rgb(self, camera: Camera, rng: np.random.Generator, oversample: int = 2) -> np.ndarray:
-        """Shaded colour image (H, W, 3) uint8, `oversample` rays a pixel along each axis."""
-        fine = _finer(camera, oversample)
-        hits = self._cast(fine, fine.rays)
-        surface = self._surface(fine, hits)
-        image = shade(self.scene, surface, rng, oversample)
-        image = image.reshape(camera.height, oversample, camera.width, oversample, 3).mean(axis=(1, 3))
+    def rgb(self, camera: Camera, rng: np.random.Generator) -> np.ndarray:
+        """Shaded colour image (H, W, 3) uint8; where it varies, FINE x FINE rays a pixel smooth it."""
+        from scipy import ndimage
+
+        surface = self._surface(camera, camera.rays)
+        shadows = cast_shadows(self.scene, surface, rng)
+        image = shade(surface, shadows)
+        brightness = image.sum(axis=-1)
+        contrast = ndimage.maximum_filter(brightness, 3) - ndimage.minimum_filter(brightness, 3)
+        rows, columns = np.nonzero(contrast > FINE_CONTRAST)
+        offsets = (np.arange(FINE) + 0.5) / FINE - 0.5
+        du, dv = np.meshgrid(offsets / camera.K[0, 0], offsets / camera.K[1, 1])
+        rays = np.repeat(camera.rays[rows, columns][:, None], FINE * FINE, axis=1)  # (N, FINE * FINE, 3)
+        rays[..., 0] += du.ravel()
+        rays[..., 1] += dv.ravel()
+        fine = shade(self._surface(camera, rays), shadows[rows, columns][:, None])
+        image[rows, columns] = fine.mean(axis=1)
         return np.clip(image * 255 + 0.5, 0, 255).astype(np.uint8)
 
-    def _cast(self, camera: Camera, rays: np.ndarray) -> dict:
+    def _cast(self, camera: Camera, rays: np.ndarray) -> tuple[np.ndarray, dict]:
+        """Directions (..., 3) in the world frame and hits of rays (..., 3) of the camera frame."""
         T = camera.T_world_camera.astype(np.float32)
         directions = rays @ T[:3, :3].T
         origins = np.broadcast_to(T[:3, 3], directions.shape)
         # Directions keep z = 1 in the camera frame, so that t_hit is the depth along the camera's z axis.
-        return self.scene.cast_rays(self._tensor(np.concatenate([origins, directions], axis=-1)))
+        return directions, self.scene.cast_rays(self._tensor(np.concatenate([origins, directions], axis=-1)))
 
-    def _surface(self, camera: Camera, hits: dict) -> Surface:
-        """Positions, normals and colours of what the rays hit, in the world frame."""
-        T = camera.T_world_camera.astype(np.float32)
-        directions = camera.rays @ T[:3, :3].T
+    def _surface(self, camera: Camera, rays: np.ndarray) -> Surface:
+        """Positions, normals and colours of what the rays (..., 3) hit, in the world frame."""
+        directions, hits = self._cast(camera, rays)
         t = hits["t_hit"].numpy()
         hit = np.isfinite(t)
-        positions = T[:3, 3] + directions * np.where(hit, t, 0)[..., None]
+        eye = camera.T_world_camera[:3, 3].astype(np.float32)
+        positions = eye + directions * np.where(hit, t, 0)[..., None]
         normals = hits["primitive_normals"].numpy().copy()
         ids, triangles = hits["geometry_ids"].numpy(), hits["primitive_ids"].numpy()
         uv = hits["primitive_uvs"].numpy()
@@ -147,7 +153,7 @@ class Renderer:
                 continue
             faces, weights = triangles[mask], barycentric(uv[mask])
             albedo[mask] = object_color(model, faces, weights)
-            smooth = np.einsum("nc,ncd->nd", weights, self._normals[index][faces])
+            smooth = np.einsum("nc,ncd->nd", weights, model.corner_normals[faces])
             normals[mask] = smooth @ self._rotations[index].T
         normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-9)
         away = (normals * directions).sum(axis=-1) > 0
@@ -173,29 +179,6 @@ def object_color(model: ObjectModel, faces: np.ndarray, weights: np.ndarray) -> 
     return np.einsum("nc,ncd->nd", weights, corners) / 255
 
 
-def corner_normals(model: ObjectModel) -> np.ndarray:
-    """Unit normals (F, 3, 3) per triangle corner: smooth, but sharp where the surface has an edge."""
-    faces, flat = np.asarray(model.mesh.faces), np.asarray(model.mesh.face_normals)
-    areas = np.asarray(model.mesh.area_faces)
-    # Corners that share a vertex lie next to each other once sorted by vertex; pair each with the next ones.
-    order = np.argsort(faces.ravel(), kind="stable")
-    vertex, face = faces.ravel()[order], order // 3
-    total = areas[face, None] * flat[face]
-    for step in range(1, MOST_CORNERS):
-        same = vertex[step:] == vertex[:-step]
-        if not same.any():
-            break
-        first, second = np.flatnonzero(same), np.flatnonzero(same) + step
-        alike = np.einsum("nd,nd->n", flat[face[first]], flat[face[second]]) > SMOOTH_ANGLE_COSINE
-        first, second = first[alike], second[alike]
-        np.add.at(total, first, areas[face[second], None] * flat[face[second]])
-        np.add.at(total, second, areas[face[first], None] * flat[face[first]])
-    normals = np.empty_like(total)
-    normals[order] = total
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
-    return normals.reshape(-1, 3, 3).astype(np.float32)
-
-
 def _bilinear(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     x0, y0 = np.floor(x).astype(int), np.floor(y).astype(int)
     x1, y1 = np.minimum(x0 + 1, image.shape[1] - 1), np.minimum(y0 + 1, image.shape[0] - 1)
@@ -203,11 +186,3 @@ def _bilinear(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     top = image[y0, x0] * (1 - fx) + image[y0, x1] * fx
     bottom = image[y1, x0] * (1 - fx) + image[y1, x1] * fx
     return top * (1 - fy) + bottom * fy
-
-
-def _finer(camera: Camera, factor: int) -> Camera:
-    """The same camera with `factor` times the pixels along each axis."""
-    K = camera.K.copy()
-    K[:2, :2] *= factor
-    K[:2, 2] = (K[:2, 2] + 0.5) * factor - 0.5
-    return Camera(K, camera.width * factor, camera.height * factor, camera.T_world_camera)

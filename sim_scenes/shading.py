@@ -21,7 +21,7 @@ SAMPLES = 4
 
 @dataclass(frozen=True)
 class Surface:
-    """What each ray hit, (H, W, ...): hit bool, positions [m], unit normals, albedo 0..1, directions."""
+    """What rays hit, arrays (..., D): hit bool, positions [m], unit normals, albedo 0..1, ray directions."""
 
     hit: np.ndarray
     positions: np.ndarray
@@ -30,20 +30,19 @@ class Surface:
     directions: np.ndarray
 
 
-def shade(scene: Any, surface: Surface, rng: np.random.Generator, coarse: int) -> np.ndarray:
-    """Colour image (H, W, 3) in 0..1; shadows are cast at every `coarse`-th pixel and smoothed."""
-    import cv2
-
-    sample = (slice(coarse // 2, None, coarse), slice(coarse // 2, None, coarse))
-    positions, normals = surface.positions[sample], surface.normals[sample]
+def cast_shadows(scene: Any, surface: Surface, rng: np.random.Generator) -> np.ndarray:
+    """(H, W, 2) shares of the lamp and of the sky that the surface of an image (H, W) sees."""
+    positions, normals = surface.positions, surface.normals
     lit = _visible(scene, positions, normals, _lamp_points(positions.shape[:2], rng) - positions[None])
     open_sky = _visible(scene, positions, normals, SKY_REACH * _hemisphere(normals, rng))
     # Few rays a pixel are noisy: smooth them, but not across edges in depth or orientation.
     guide = np.concatenate([normals, positions * 8], axis=-1)
-    shadows = _smooth(np.stack([lit, open_sky], axis=-1), guide)
-    shadows = cv2.resize(shadows, surface.hit.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    lit, open_sky = shadows[..., 0], shadows[..., 1]
+    return _smooth(np.stack([lit, open_sky], axis=-1), guide)
 
+
+def shade(surface: Surface, shadows: np.ndarray) -> np.ndarray:
+    """Display colours (..., 3) in 0..1 of a surface with its shares of lamp and sky (..., 2)."""
+    lit, open_sky = shadows[..., 0], shadows[..., 1]
     to_lamp = LIGHT_POSITION - surface.positions
     distance = np.sqrt(_dot(to_lamp, to_lamp))
     to_lamp /= distance[..., None]
@@ -52,8 +51,7 @@ def shade(scene: Any, surface: Surface, rng: np.random.Generator, coarse: int) -
     light = 0.72 * np.maximum(_dot(surface.normals, to_lamp), 0) * falloff * lit
     light += sky * (0.35 + 0.65 * open_sky)
     half = to_lamp - surface.directions / np.sqrt(_dot(surface.directions, surface.directions))[..., None]
-    half_length = np.maximum(np.sqrt(_dot(half, half)), 1e-6)
-    shine = np.clip(_dot(surface.normals, half) / half_length, 0, 1)
+    shine = np.clip(_dot(surface.normals, half) / np.maximum(np.sqrt(_dot(half, half)), 1e-6), 0, 1)
     for _ in range(5):
         shine = shine * shine  # to the power of 32
     # Albedo and output are display colours (taken as squares); light adds up in linear ones.
@@ -64,7 +62,7 @@ def shade(scene: Any, surface: Surface, rng: np.random.Generator, coarse: int) -
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.einsum("hwc,hwc->hw", a, b)
+    return np.einsum("...c,...c->...", a, b)
 
 
 def _lamp_points(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
