@@ -94,7 +94,7 @@ class DeepMap:
     def predict_lattice(self, axes: tuple[np.ndarray, ...]) -> np.ndarray:
         """Class probabilities (*lattice, C+1) on a regular lattice; same values as predict_proba."""
         first = LatticeEvaluator(self.hinges, self._gamma, self.first.detach(), self.bias.detach())
-        return torch.softmax(self.rest(first(axes)), dim=-1).numpy()
+        return torch.softmax(self.rest(first(axes).movedim(0, -1)), dim=-1).numpy()
 
     def _build(self, classes: int, generator: torch.Generator) -> None:
         widths = [self.config.width] * self.config.hidden_layers + [classes]
