@@ -6,10 +6,11 @@ import numpy as np
 import trimesh
 
 from sim_scenes import implicit_shapes as solid
-from sim_scenes.paint import Colored, plain, random_color
+from sim_scenes import solid_parts
+from sim_scenes.paint import Shape, plain, random_color
 
 
-def box(rng: np.random.Generator) -> Colored:
+def box(rng: np.random.Generator) -> Shape:
     """A carton with rounded edges and a printed panel."""
     kind = rng.choice(["carton", "flat", "brick"])
     low, high = {
@@ -32,10 +33,10 @@ def box(rng: np.random.Generator) -> Colored:
     colors[inner] = panel
     at = rng.uniform(-0.6, 0.6)
     colors[np.abs(mesh.vertices[:, 2] / half[2] - at) < 0.1] = stripe
-    return mesh, colors
+    return mesh, colors, [mesh.vertices]
 
 
-def ball(rng: np.random.Generator) -> Colored:
+def ball(rng: np.random.Generator) -> Shape:
     """A ball with a stripe."""
     radius = rng.uniform(0.02, 0.055)
     mesh = trimesh.creation.icosphere(subdivisions=5, radius=radius)
@@ -43,10 +44,10 @@ def ball(rng: np.random.Generator) -> Colored:
     along = mesh.vertices @ (axis / np.linalg.norm(axis)) / radius
     colors = plain(mesh, random_color(rng))
     colors[np.abs(along) < rng.uniform(0.0, 0.3)] = random_color(rng, rng.random() < 0.5)
-    return mesh, colors
+    return mesh, colors, [mesh.vertices]
 
 
-def fruit(rng: np.random.Generator) -> Colored:
+def fruit(rng: np.random.Generator) -> Shape:
     """A round fruit, dented at the poles or drawn out like a pear."""
     radius, tall = rng.uniform(0.025, 0.042), rng.uniform(0.8, 1.35)
     dent, pear = rng.uniform(0, 0.25), rng.uniform(-0.25, 0.25)
@@ -55,10 +56,10 @@ def fruit(rng: np.random.Generator) -> Colored:
     z = radius * tall * np.sin(angle) * (1 - dent * np.exp(-((r / radius / 0.35) ** 2)))
     mesh = solid.revolved(list(zip(r, z - z.min())))
     shade = (mesh.vertices[:, 2:] / np.ptp(mesh.vertices[:, 2])) ** 1.5
-    return mesh, random_color(rng) * (1 - shade) + random_color(rng) * shade
+    return mesh, random_color(rng) * (1 - shade) + random_color(rng) * shade, [mesh.vertices]
 
 
-def banana(rng: np.random.Generator) -> Colored:
+def banana(rng: np.random.Generator) -> Shape:
     """A bent bar with pointed ends."""
     length, thick, sweep = rng.uniform(0.13, 0.19), rng.uniform(0.014, 0.02), rng.uniform(0.7, 1.6)
     angle = np.linspace(-sweep / 2, sweep / 2, 16)
@@ -71,10 +72,10 @@ def banana(rng: np.random.Generator) -> Colored:
     mesh = solid.mesh_of(lambda points: solid.tube(points, path, taper), low, high, 0.0015, 6000)
     colors = plain(mesh, np.array([0.93, 0.78, 0.16]) * rng.uniform(0.8, 1.05))
     colors[np.abs(mesh.vertices[:, 0]) > 0.95 * np.abs(mesh.vertices[:, 0]).max()] = [0.3, 0.24, 0.1]
-    return mesh, colors
+    return mesh, colors, solid_parts.bars(path, taper)
 
 
-def blocks(rng: np.random.Generator) -> Colored:
+def blocks(rng: np.random.Generator) -> Shape:
     """Two or three bricks joined: L, T and stair shapes, as toy bricks make."""
     unit = rng.uniform(0.012, 0.02)
     placed = [(np.zeros(3), rng.integers(1, 4, 3) * unit)]
@@ -94,11 +95,14 @@ def blocks(rng: np.random.Generator) -> Colored:
     high = np.max([center + half for center, half in placed], axis=0)
     mesh = solid.mesh_of(distance, low, high, 0.0015)
     nearest = np.argmin([solid.box(mesh.vertices, center, half, rounding) for center, half in placed], axis=0)
-    return mesh, np.array([random_color(rng) for _ in placed])[nearest]
+    colors = np.array([random_color(rng) for _ in placed])[nearest]
+    return mesh, colors, [solid_parts.block(center, half, rounding) for center, half in placed]
 
 
-def ring(rng: np.random.Generator) -> Colored:
+def ring(rng: np.random.Generator) -> Shape:
     """A torus."""
     major, minor = rng.uniform(0.025, 0.06), rng.uniform(0.006, 0.016)
     mesh = trimesh.creation.torus(major, minor, major_sections=80, minor_sections=28)
-    return mesh, plain(mesh, random_color(rng))
+    angles = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    section = list(zip(major + minor * np.cos(angles), minor * np.sin(angles)))
+    return mesh, plain(mesh, random_color(rng)), solid_parts.turned([section])

@@ -122,23 +122,33 @@ def make_scene(
     placed, cameras = compose(source, settings["views"], rng, config, progress)
     surroundings = Surroundings.random(config.table_size_m, rng)
     renderer = Renderer(placed, surroundings)
-    temporary = folder.with_name(folder.name + f".{os.getpid()}.tmp")
-    shutil.rmtree(temporary, ignore_errors=True)
+    temporary = folder.with_name(f"{folder.name}.{os.getpid()}.tmp")
+    views = [".", *(f"views/{view}" for view in range(1, len(cameras)))]
+    try:
+        for camera, view in zip(cameras, views):
+            frame = _frame(renderer, camera, placed, rng, settings)
+            save_frame(frame, temporary / view, DEPTH_SCALE)
+        _write_truth(temporary, placed, source, settings, views)
+        temporary.rename(folder)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _frame(
+    renderer: Renderer,
+    camera: Camera,
+    placed: Sequence[PlacedObject],
+    rng: np.random.Generator,
+    settings: dict[str, Any],
+) -> Frame:
+    depth, labels = renderer.depth_and_labels(camera)
+    rgb = renderer.rgb(camera, rng)
+    if settings["label_noise"]:
+        labels = noisy_labels(labels, rng)
+    if settings["sensor_noise"]:
+        depth = noisy_depth(depth, camera, rng)
     names = {label: item.model.name for label, item in enumerate(placed, start=1)}
-    views = ["."] + [f"views/{view}" for view in range(1, len(cameras))]
-    for camera, view in zip(cameras, views):
-        depth, labels = renderer.depth_and_labels(camera)
-        rgb = renderer.rgb(camera, rng)
-        if settings["label_noise"]:
-            labels = noisy_labels(labels, rng)
-        if settings["sensor_noise"]:
-            depth = noisy_depth(depth, camera, rng)
-        frame = Frame(depth, camera, rgb, labels, names, str(folder))
-        save_frame(frame, temporary / view, DEPTH_SCALE)
-    _write_truth(temporary, placed, source, settings, views)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    shutil.rmtree(folder, ignore_errors=True)
-    temporary.rename(folder)
+    return Frame(depth, camera, rgb, labels, names, "simulated")
 
 
 def compose(
