@@ -1,0 +1,116 @@
+"""A prior for what is hidden: which object, if any, fills a point that no ray has reached.
+
+Learned from procedural shapes only (tools/train_prior.py); see prior_weights.json beside the weights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from mapping.errors import DataError
+from mapping.prior_features import LATTICE, Evidence, ObjectBox, RayEvidence, channels
+from mapping.prior_network import PriorNetwork
+
+WEIGHTS_FILE = Path(__file__).with_name("prior_weights.npz")
+OUTSIDE = -12.0
+"""Log odds of an object outside its box."""
+
+
+class OcclusionPrior:
+    """P(empty), P(object k) at hidden points of one frame."""
+
+    def __init__(self, network: PriorNetwork) -> None:
+        self.network = network.eval().to(memory_format=torch.channels_last_3d)
+
+    @classmethod
+    def load(cls, path: Path = WEIGHTS_FILE) -> OcclusionPrior:
+        """The prior from a weights file; raises DataError when it does not fit the network."""
+        return _load(path)
+
+    def distribution(
+        self, visible: Sequence[np.ndarray], origin: np.ndarray, evidence: Evidence, points: np.ndarray
+    ) -> np.ndarray:
+        """Class distribution (N, K+1) float32 over {empty, object 1..K} at points (N, 3).
+
+        visible: (M, 3) float32 visible points of each object; origin: (3,) where the rays start; evidence:
+        what the rays say of points. All in the table frame [m]. Meant for hidden points; points that rays
+        have passed through are the caller's to exclude.
+        """
+        odds = self.log_odds(visible, origin, evidence, points)
+        # Log odds compare an object with "empty", so one softmax gives every point one distribution.
+        odds = np.concatenate([np.zeros((len(odds), 1), np.float32), odds], axis=1)
+        odds = np.exp(odds - odds.max(axis=1, keepdims=True))
+        return odds / odds.sum(axis=1, keepdims=True)
+
+    def log_odds(
+        self, visible: Sequence[np.ndarray], origin: np.ndarray, evidence: Evidence, points: np.ndarray
+    ) -> np.ndarray:
+        """Log odds (N, K) float32 of each object against its absence; OUTSIDE beyond its box or below 0."""
+        points = np.asarray(points, np.float32)
+        boxes = [ObjectBox.around(item, origin) for item in visible]
+        lattices = [
+            lattice_channels(box, item, evidence(box.lattice(), index))
+            for index, (box, item) in enumerate(zip(boxes, visible))
+        ]
+        result = np.full((len(points), len(boxes)), OUTSIDE, np.float32)
+        if not boxes:
+            return result
+        with torch.inference_mode():
+            features = self.network.encode(torch.from_numpy(np.stack(lattices)))
+            for index, box in enumerate(boxes):
+                local = box.local(points)
+                rows = np.flatnonzero((np.abs(local) <= 1).all(axis=1) & (points[:, 2] >= 0))
+                if len(rows) == 0:
+                    continue
+                local = local[rows]
+                known = channels(local, evidence(points[rows], index), box.scalars()[:, None])
+                odds = self.network.decode(
+                    features[index : index + 1],
+                    torch.from_numpy(local)[None],
+                    torch.from_numpy(np.ascontiguousarray(known.T))[None],
+                )
+                result[rows, index] = odds[0].numpy()
+        return result
+
+
+def lattice_channels(box: ObjectBox, visible: np.ndarray, seen: RayEvidence) -> np.ndarray:
+    """The encoder's input (LATTICE_CHANNELS, *LATTICE) float32; seen: the evidence at box.lattice()."""
+    rows = channels(lattice_coordinates(), seen, box.scalars()[:, None])
+    held = box.surface_cells(visible)[None].astype(np.float32)
+    return np.concatenate([rows, held]).reshape(-1, *LATTICE)
+
+
+@lru_cache(maxsize=1)
+def lattice_coordinates() -> np.ndarray:
+    """Box coordinates (V, 3) float32 of the lattice's cell centres."""
+    axes = [(np.arange(cells) + 0.5) / cells * 2 - 1 for cells in LATTICE]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
+
+
+@lru_cache(maxsize=2)
+def _load(path: Path) -> OcclusionPrior:
+    if not path.is_file():
+        raise DataError(f"{path}: no such weights file; `python -m tools.train_prior` makes one")
+    network = PriorNetwork()
+    with np.load(path) as stored:
+        state = {name: torch.from_numpy(stored[name].astype(np.float32)) for name in stored.files}
+    try:
+        network.load_state_dict(state)
+    except RuntimeError as error:
+        raise DataError(f"{path}: made for another network; train it again ({error})") from error
+    return OcclusionPrior(network)
+
+
+def save_weights(network: PriorNetwork, path: Path) -> None:
+    """Write the weights in half precision: under 1 MB."""
+    state = {
+        name: value.detach().cpu().numpy().astype(np.float16) for name, value in network.state_dict().items()
+    }
+    temporary = path.with_name(path.name + ".tmp.npz")
+    np.savez(temporary, **state)
+    temporary.rename(path)

@@ -1,0 +1,156 @@
+"""What the occlusion prior looks at: one object's surroundings as a small lattice, and the same at any point.
+
+Works in a table frame: z along the support plane's normal, z = 0 on the plane. Knows rays and visible points,
+nothing of cameras and images. Everything is expressed relative to the viewing direction and to the visible
+extent, so that turning the table or the camera about the vertical changes nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+LATTICE = (24, 24, 16)
+"""Cells of an object's box along the view, across it, and upwards."""
+ROOM = (1.6, 0.2, 0.02)
+"""Side of the box: multiple of the visible width, plus share of the visible height, plus length [m]."""
+BACKWARD_SHIFT = 0.10
+"""The visible surface lies this share of the side before the box's middle: what is hidden lies behind."""
+ROOM_ABOVE = (0.08, 0.004)
+"""Room above the visible top: share of the height and length [m]."""
+ROOM_BELOW = (0.5, 0.02)
+"""Room under the visible bottom, down to the support plane at most: share of the height and length [m]."""
+LEAST_HEIGHT = 0.02
+"""A box is at least this high [m]."""
+
+OWN, BACKGROUND, OTHER, UNKNOWN = 0, 1, 2, 3
+"""What the ray through a point sees: the object itself, no object, another object, nothing measured."""
+
+LATTICE_CHANNELS = 17
+POINT_CHANNELS = 16
+
+
+class RayEvidence(NamedTuple):
+    """What the rays through N points say, for one object.
+
+    behind: (N,) depth behind the first surface on the ray [m], negative before it, NaN where unknown;
+    seen: (N,) int8 of OWN, BACKGROUND, OTHER, UNKNOWN; inside: (N,) distance from the ray to the border of
+    the object's visible region [m], positive inside it.
+    """
+
+    behind: np.ndarray
+    seen: np.ndarray
+    inside: np.ndarray
+
+
+Evidence = Callable[[np.ndarray, int], RayEvidence]
+"""evidence(points (N, 3), object index) of one frame."""
+
+
+@dataclass(frozen=True)
+class ObjectBox:
+    """The box around one object that the prior looks at: turned about z so that x points away from the eye.
+
+    heading: (2,) unit vector of x; low: (3,) lower corner in the turned frame [m]; size: (3,) sides [m], the
+    first two equal; bottom, top: heights of the visible points [m]; slope: how steeply the eye looks down.
+    """
+
+    heading: np.ndarray
+    low: np.ndarray
+    size: np.ndarray
+    bottom: float
+    top: float
+    slope: float
+
+    @classmethod
+    def around(cls, visible: np.ndarray, origin: np.ndarray) -> ObjectBox:
+        """The box for visible points (M, 3) seen from origin (3,), both in the table frame."""
+        middle = visible.mean(0, dtype=np.float64)
+        view = middle - origin
+        level = float(np.hypot(*view[:2]))
+        heading = view[:2] / level if level > 1e-6 else np.array([1.0, 0.0])
+        turned = _turn(visible, heading)
+        lowest, highest = turned.min(0).astype(float), turned.max(0).astype(float)
+        extent = highest - lowest
+        height = extent[2]
+        side = ROOM[0] * max(extent[:2]) + ROOM[1] * height + ROOM[2]
+        centre = (lowest[:2] + highest[:2]) / 2 + [BACKWARD_SHIFT * side, 0.0]
+        floor = max(0.0, lowest[2] - ROOM_BELOW[0] * height - ROOM_BELOW[1])
+        ceiling = highest[2] + ROOM_ABOVE[0] * (highest[2] - floor) + ROOM_ABOVE[1]
+        return cls(
+            heading=heading,
+            low=np.array([*(centre - side / 2), floor]),
+            size=np.array([side, side, max(ceiling - floor, LEAST_HEIGHT)]),
+            bottom=float(lowest[2]),
+            top=float(highest[2]),
+            slope=float(-view[2] / max(level, 1e-6)),
+        )
+
+    def local(self, points: np.ndarray) -> np.ndarray:
+        """Points (N, 3) float32 of the table frame in box coordinates, -1 to 1 along each axis."""
+        scale = (2 / self.size).astype(np.float32)
+        return _turn(points, self.heading) * scale - (1 + self.low * scale).astype(np.float32)
+
+    def lattice(self) -> np.ndarray:
+        """Cell centres (V, 3) float32 in the table frame, z fastest."""
+        axes = [
+            low + size / cells * (np.arange(cells) + 0.5)
+            for low, size, cells in zip(self.low, self.size, LATTICE)
+        ]
+        centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
+        return _turn(centres, self.heading * [1, -1])
+
+    def surface_cells(self, visible: np.ndarray) -> np.ndarray:
+        """(V,) bool: lattice cells that hold visible points (M, 3)."""
+        cell = np.floor((self.local(visible) + 1) / 2 * np.array(LATTICE, np.float32)).astype(np.int64)
+        cell = np.clip(cell, 0, np.array(LATTICE) - 1)
+        held = np.zeros(LATTICE, bool)
+        held[tuple(cell.T)] = True
+        return held.reshape(-1)
+
+    def scalars(self) -> np.ndarray:
+        """(6,) float32: side and height of the box, floor, visible bottom and top [m], slope."""
+        values = [self.size[0], self.size[2], self.low[2], self.bottom, self.top, self.slope]
+        return np.array(values, np.float32)
+
+
+def channels(local: np.ndarray, evidence: RayEvidence, scalars: np.ndarray) -> np.ndarray:
+    """Feature rows (POINT_CHANNELS, N) float32 of points in box coordinates (N, 3).
+
+    scalars: (6, 1) of one box, or (6, N) with the box of each point.
+    """
+    side, height, floor, bottom, top, slope = scalars
+    behind = np.nan_to_num(evidence.behind, nan=0.0).astype(np.float32)
+    inside = evidence.inside.astype(np.float32)
+    z = floor + (local[:, 2] + 1) / 2 * height
+    ones = np.ones_like(behind)
+    return np.stack(
+        [
+            np.clip(behind / 0.008, -1, 1),
+            np.clip(behind / 0.04, -1, 1),
+            np.clip(behind / side, -1, 1),
+            (evidence.seen == OWN).astype(np.float32),
+            (evidence.seen == OTHER).astype(np.float32),
+            (evidence.seen == UNKNOWN).astype(np.float32),
+            np.clip(inside / 0.015, -1, 1),
+            np.clip(4 * inside / side, -1, 1),
+            local[:, 0],
+            local[:, 1],
+            local[:, 2],
+            np.clip(z / 0.04, 0, 1),
+            np.clip((top - z) / np.maximum(top - bottom, 0.005), -1, 2),
+            np.log(side / 0.15) * ones,
+            np.log(height / 0.1) * ones,
+            np.clip(slope, 0, 3) * ones,
+        ]
+    ).astype(np.float32)
+
+
+def _turn(points: np.ndarray, heading: np.ndarray) -> np.ndarray:
+    """Points (N, 3) float32 turned about z so that `heading` (2,) becomes x."""
+    c, s = np.float32(heading[0]), np.float32(heading[1])
+    x, y = points[:, 0], points[:, 1]
+    return np.stack([c * x + s * y, c * y - s * x, points[:, 2]], axis=1).astype(np.float32)

@@ -1,0 +1,68 @@
+"""The occlusion prior's network: a small volume encoder and a decoder for single points."""
+
+from __future__ import annotations
+
+import torch
+from torch import nn
+from torch.nn import functional as F
+
+from mapping.prior_features import LATTICE_CHANNELS, POINT_CHANNELS
+
+WIDTHS = (24, 40, 64)
+"""Channels at a half, a quarter and an eighth of the lattice's resolution."""
+HIDDEN = 48
+"""Units in the point decoder's first layer."""
+
+
+class PriorNetwork(nn.Module):
+    """Log odds that a point lies inside the object, from its lattice and the point's own features.
+
+    encode looks at the object as a whole, at half the lattice's resolution; decode adds what is exactly known
+    at the point, so that borders are sharper than the lattice.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        fine, middle, coarse = WIDTHS
+        self.enter = nn.Conv3d(LATTICE_CHANNELS, fine, 2, stride=2)
+        self.fine_in = _conv(fine, fine)
+        self.down = nn.Conv3d(fine, middle, 2, stride=2)
+        self.middle_in = _conv(middle, middle)
+        self.down_again = nn.Conv3d(middle, coarse, 2, stride=2)
+        self.coarse_one = _conv(coarse, coarse)
+        self.coarse_two = _conv(coarse, coarse)
+        self.up = nn.Conv3d(coarse, middle, 1)
+        self.middle_out = _conv(middle, middle)
+        self.up_again = nn.Conv3d(middle, fine, 1)
+        self.fine_out = _conv(fine, fine)
+        self.fine_last = _conv(fine, fine)
+        self.decoder = nn.Sequential(
+            nn.Linear(fine + POINT_CHANNELS, HIDDEN),
+            nn.ReLU(),
+            nn.Linear(HIDDEN, HIDDEN),
+            nn.ReLU(),
+            nn.Linear(HIDDEN, 1),
+        )
+
+    def encode(self, lattice: torch.Tensor) -> torch.Tensor:
+        """Features (B, F, 12, 12, 8) of lattices (B, LATTICE_CHANNELS, 24, 24, 16)."""
+        lattice = lattice.contiguous(memory_format=torch.channels_last_3d)
+        fine = F.relu(self.fine_in(F.relu(self.enter(lattice))))
+        middle = F.relu(self.middle_in(F.relu(self.down(fine))))
+        coarse = F.relu(self.down_again(middle))
+        coarse = coarse + F.relu(self.coarse_two(F.relu(self.coarse_one(coarse))))
+        middle = F.relu(self.middle_out(middle + F.interpolate(self.up(coarse), scale_factor=2)))
+        fine = F.relu(self.fine_out(fine + F.interpolate(self.up_again(middle), scale_factor=2)))
+        return self.fine_last(fine)
+
+    def decode(self, features: torch.Tensor, local: torch.Tensor, channels: torch.Tensor) -> torch.Tensor:
+        """Log odds (B, Q) at points (B, Q, 3) in box coordinates with channels (B, Q, POINT_CHANNELS)."""
+        # grid_sample counts the last axis of the volume first.
+        where = local.flip(-1)[:, :, None, None]
+        near = F.grid_sample(features, where, align_corners=False, padding_mode="border")
+        near = near[:, :, :, 0, 0].transpose(1, 2)  # (B, Q, F)
+        return self.decoder(torch.cat([near, channels], dim=-1))[..., 0]
+
+
+def _conv(inputs: int, outputs: int) -> nn.Conv3d:
+    return nn.Conv3d(inputs, outputs, 3, padding=1)

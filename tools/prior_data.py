@@ -1,0 +1,156 @@
+"""Training data of the occlusion prior: what it would see of random scenes, and the truth at points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from mapping.errors import FrameError
+from mapping.occlusion_prior import lattice_coordinates
+from mapping.prior_features import LATTICE, ObjectBox, RayEvidence, channels
+from mapping.samples import shift_along_rays
+from perception.camera import transform
+from perception.observe import observe
+from perception.space import Space
+from reconstruction.hidden_space import RayLookup
+from sim_scenes.training_scenes import TrainingScene, inside, make_training_scene
+from sim_scenes.training_shapes import TrainingShape
+
+QUERIES = 1024
+"""Points with truth kept of each object."""
+REACH = 0.15
+"""Half of the points lie up to this far [m] behind a visible one, the others anywhere in the box."""
+LEAST_BEHIND = 0.0005
+"""Points must lie this far behind the first surface [m]."""
+
+
+@dataclass(frozen=True)
+class Examples:
+    """Objects as the prior sees them. B objects, V lattice cells, Q points; evidence as in RayEvidence."""
+
+    scalars: np.ndarray  # (B, 6) float32
+    behind: np.ndarray  # (B, V) float16 [m]
+    seen: np.ndarray  # (B, V) int8
+    inside: np.ndarray  # (B, V) float16 [m]
+    surface: np.ndarray  # (B, V) bool
+    local: np.ndarray  # (B, Q, 3) float32
+    point_behind: np.ndarray  # (B, Q) float32 [m]
+    point_seen: np.ndarray  # (B, Q) int8
+    point_inside: np.ndarray  # (B, Q) float32 [m]
+    truth: np.ndarray  # (B, Q) bool
+    family: np.ndarray  # (B,) str
+
+    def __len__(self) -> int:
+        return len(self.scalars)
+
+    def inputs(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Lattices (b, C, *LATTICE), local points (b, Q, 3), their channels (b, Q, P) and truth (b, Q)."""
+        lattices, points = [], []
+        for row in rows:
+            scalars = self.scalars[row][:, None]
+            around = RayEvidence(self.behind[row], self.seen[row], self.inside[row])
+            of_points = RayEvidence(self.point_behind[row], self.point_seen[row], self.point_inside[row])
+            cells = channels(lattice_coordinates(), around, scalars)
+            held = self.surface[row][None].astype(np.float32)
+            lattices.append(np.concatenate([cells, held]).reshape(-1, *LATTICE))
+            points.append(channels(self.local[row], of_points, scalars).T)
+        return np.stack(lattices), self.local[rows], np.stack(points), self.truth[rows].astype(np.float32)
+
+
+def make_examples(
+    scenes: int,
+    draw: Callable[[np.random.Generator], TrainingShape],
+    seed: int,
+    progress: str = "scenes",
+    cache: Path | None = None,
+) -> Examples:
+    """Examples of all objects of `scenes` random scenes; scene i depends on (seed, i) alone.
+
+    cache: a file to keep them in, read instead when it is there.
+    """
+    if cache is not None and cache.is_file():
+        with np.load(cache) as stored:
+            return Examples(**{name: stored[name] for name in stored.files})
+    from tqdm import tqdm
+
+    rows: list[tuple] = []
+    for index in tqdm(range(scenes), desc=progress, mininterval=5):
+        rng = np.random.default_rng([seed, index])
+        rows.extend(scene_examples(make_training_scene(draw, rng), rng))
+    columns = [np.stack(column) for column in zip(*rows)]
+    arrays = {field.name: column for field, column in zip(fields(Examples), columns)}
+    if cache is not None:
+        cache.parent.mkdir(parents=True, exist_ok=True)
+        temporary = cache.with_name(cache.name + ".tmp.npz")
+        np.savez(temporary, **arrays)
+        temporary.rename(cache)
+    return Examples(**arrays)
+
+
+def scene_examples(scene: TrainingScene, rng: np.random.Generator) -> Iterator[tuple]:
+    """One row of Examples for each observed object."""
+    try:
+        observation = observe(scene.frame, seed=0)
+    except FrameError:
+        return
+    if observation.support is None:
+        return
+    space = Space.of(observation)
+    evidence = RayLookup(observation, space)
+    T_world_table = scene.frame.camera.T_world_camera @ np.linalg.inv(observation.T_table_camera)
+    for index, item in enumerate(observation.objects):
+        box = ObjectBox.around(item.points, space.origin)
+        around = evidence(box.lattice(), index)
+        points = _hidden_points(box, item.points, space, rng)
+        if len(points) < QUERIES:
+            continue
+        of_points = evidence(points, index)
+        shape = scene.shapes[item.label]
+        yield (
+            box.scalars(),
+            around.behind.astype(np.float16),
+            around.seen,
+            around.inside.astype(np.float16),
+            box.surface_cells(item.points),
+            box.local(points),
+            of_points.behind.astype(np.float32),
+            of_points.seen,
+            of_points.inside.astype(np.float32),
+            inside(shape, transform(T_world_table, points)),
+            np.array(shape.family),
+        )
+
+
+def _hidden_points(box: ObjectBox, visible: np.ndarray, space: Space, rng: np.random.Generator) -> np.ndarray:
+    """QUERIES points (Q, 3) in the box that no ray has reached; chosen by what is seen, never by the truth.
+
+    Choosing by the truth would bend the probabilities.
+    """
+    cells = np.array(LATTICE)
+    lattice = box.lattice()
+    hidden = lattice[_unreached(space, lattice)]
+    if len(hidden) == 0:
+        return hidden
+    anywhere = hidden[rng.integers(len(hidden), size=QUERIES)]
+    anywhere = anywhere + rng.uniform(-0.5, 0.5, anywhere.shape) * (box.size / cells).mean()
+    start = visible[rng.integers(len(visible), size=2 * QUERIES)]
+    behind = start + (shift_along_rays(space.origin, start, 1.0) - start) * (
+        REACH * rng.random((len(start), 1)) ** 1.5
+    )
+    points = []
+    for group, count in ((behind, QUERIES // 2), (anywhere, QUERIES)):
+        group = group.astype(np.float32)
+        within = (np.abs(box.local(group)) < 1).all(axis=1) & _unreached(space, group)
+        points.append(group[within][:count])
+    # Near the box's middle is where it matters; the rest of the box fills up what is missing.
+    return (
+        np.concatenate(points)[:QUERIES] if sum(map(len, points)) >= QUERIES else np.empty((0, 3), np.float32)
+    )
+
+
+def _unreached(space: Space, points: np.ndarray) -> np.ndarray:
+    behind = space.depth_behind(points)
+    return ~(behind < LEAST_BEHIND) & (points[:, 2] > 0)
