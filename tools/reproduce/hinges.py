@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from mapping.deep_map import DeepMap, DeepMapConfig
-from tools.reproduce.landscape import LANDSCAPES, Landscape, Split, load_log, split_log
+from tools.evaluation.statistics import auroc
+from tools.options import write_json
+from tools.reproduce.landscape import LANDSCAPES, OCCUPIED, Landscape, Split, load_log, split_log
 from tools.reproduce.occupancy import (
     KEYS,
     OccupancyConfig,
-    area_under_curve,
     measure,
     share_occupied,
     with_noise,
@@ -26,7 +27,6 @@ from tools.reproduce.runs import (
     markdown_table,
     save_figure,
     summarise,
-    write_json,
 )
 
 TITLES = {
@@ -101,7 +101,7 @@ def run_hinges(
             for method in methods
         },
     }
-    write_json(out / "summary.json", summary)
+    write_json(summary, out / "summary.json")
     (out / "table.md").write_text(hinges_table(summary))
     _draw(out / "hinges.png", summary)
     return summary
@@ -149,7 +149,7 @@ def _measure(
     infer = Stopwatch()
     model.predict_lattice(axes)
     figures |= infer.figures("infer")
-    auc = area_under_curve(split.y_test, share_occupied(model.predict_proba(split.X_test)))
+    auc = auroc(share_occupied(model.predict_proba(split.X_test)), split.y_test == OCCUPIED)
     return {"auc": auc, **figures}
 
 

@@ -16,15 +16,18 @@ from mapping.contramap import ContraMap, MapConfig
 from mapping.softmax import FitConfig
 from perception.lidar import BeamConfig, LaserLog
 from reconstruction.atomic import temporary_beside
+from tools.evaluation.statistics import auroc
+from tools.options import write_json
 from tools.reproduce.landscape import (
     LANDSCAPES,
+    OCCUPIED,
     UNCERTAIN,
     Landscape,
     Split,
     load_log,
     split_log,
 )
-from tools.reproduce.runs import Stopwatch, cached_run, check_choices, markdown_table, summarise, write_json
+from tools.reproduce.runs import Stopwatch, cached_run, check_choices, markdown_table, summarise
 
 KEYS = ("auc", "train_s", "infer_s", "train_cpu_s", "infer_cpu_s")
 """Figures of a run. Processor seconds compare methods fairly on a machine that others use too."""
@@ -151,15 +154,6 @@ def with_noise(split: Split, noise_weight: float) -> tuple[np.ndarray, np.ndarra
     return np.concatenate([split.X, split.noise]), y, weights
 
 
-def area_under_curve(y: np.ndarray, score: np.ndarray) -> float:
-    """Area under the receiver operating characteristic curve: P(score of a 1 > score of a 0), ties half."""
-    from scipy.stats import rankdata
-
-    positive = int((y == 1).sum())
-    ranks = rankdata(score)[y == 1].sum()
-    return float((ranks - positive * (positive + 1) / 2) / (positive * (len(y) - positive)))
-
-
 def measure(
     method: str,
     split: Split,
@@ -183,7 +177,7 @@ def measure(
     infer = Stopwatch()
     drawn = fitted.draw(axes)
     figures |= infer.figures("infer")
-    return {"auc": area_under_curve(split.y_test, fitted.occupancy(split.X_test)), **figures}, drawn
+    return {"auc": auroc(fitted.occupancy(split.X_test), split.y_test == OCCUPIED), **figures}, drawn
 
 
 def run_occupancy(
@@ -213,7 +207,7 @@ def run_occupancy(
         summary["logs"][name] = {
             method: {**summarise(found, KEYS), "hinges": found[0]["hinges"]} for method, found in runs.items()
         }
-        write_json(out / "summary.json", summary)
+        write_json(summary, out / "summary.json")
     (out / "table.md").write_text(occupancy_table(summary))
     from tools.reproduce.occupancy_figures import draw_maps
 

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from mapping.errors import ConfigError, DataError
-from reconstruction.atomic import temporary_beside, write_atomically
+from reconstruction.atomic import temporary_beside
+from tools.options import write_json
 
 
 def cached_run(
@@ -29,7 +30,7 @@ def cached_run(
         if stored.get("settings") == json.loads(json.dumps(settings)):
             return stored["result"]
     result = compute()
-    write_json(path, {"settings": settings, "result": result})
+    write_json({"settings": settings, "result": result}, path)
     return result
 
 
@@ -45,12 +46,6 @@ class Stopwatch:
             f"{name}_s": time.perf_counter() - self._wall,
             f"{name}_cpu_s": time.process_time() - self._processor,
         }
-
-
-def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write JSON whole, or leave what was there; folders are made as needed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, (json.dumps(content, indent=2) + "\n").encode())
 
 
 def mean_std(values: Sequence[float]) -> dict[str, float]:

@@ -21,8 +21,9 @@ from mapping.baselines.sngp import Sngp
 from mapping.contramap import ContraMap, MapConfig
 from reconstruction.atomic import temporary_beside
 from sim_scenes.toy2d import TOY_SETS, ToyConfig, ToySet, make_toy_set
-from tools.reproduce.occupancy import area_under_curve
-from tools.reproduce.runs import Stopwatch, cached_run, check_choices, markdown_table, summarise, write_json
+from tools.evaluation.statistics import auroc, spearman
+from tools.options import write_json
+from tools.reproduce.runs import Stopwatch, cached_run, check_choices, markdown_table, summarise
 
 TITLES = {
     "gp": "Gaussian process",
@@ -135,16 +136,6 @@ def expected_distance(X: np.ndarray, data: np.ndarray, rows: int = 1000) -> np.n
     return np.concatenate([np.linalg.norm(c[:, None] - data, axis=2).mean(axis=1) for c in chunks])
 
 
-def rank_correlation(a: np.ndarray, b: np.ndarray) -> float:
-    """Spearman's rank correlation; ties share their mean rank. 0 when one side is constant."""
-    from scipy.stats import rankdata
-
-    ranks_a, ranks_b = rankdata(a), rankdata(b)
-    if np.ptp(ranks_a) == 0 or np.ptp(ranks_b) == 0:
-        return 0.0
-    return float(np.corrcoef(ranks_a, ranks_b)[0, 1])
-
-
 def run_toy(
     out: Path,
     sets: tuple[str, ...] = TOY_SETS,
@@ -178,7 +169,7 @@ def run_toy(
         "seeds": list(seeds),
         "sets": {name: {method: summarise(found[name, method], KEYS) for method in methods} for name in sets},
     }
-    write_json(out / "summary.json", summary)
+    write_json(summary, out / "summary.json")
     (out / "table.md").write_text(toy_table(summary))
     toys = {name: make_toy_set(name, np.random.default_rng(seeds[0]), config.data) for name in sets}
     fields = {(s, m): _load_field(out / "runs", s, m, seeds[0])["uncertainty"] for s in sets for m in methods}
@@ -234,9 +225,9 @@ def _seed_results(
         result = cached_run(path, settings, compute, overwrite)
         field_, reference = (_load_field(folder, name, m, seed) for m in (method, "gp"))
         ranks = {
-            "spearman_gp": rank_correlation(field_["uncertainty"], reference["uncertainty"]),
-            "spearman_gp_predictive": rank_correlation(field_["uncertainty"], reference["predictive"]),
-            "spearman_distance": rank_correlation(field_["uncertainty"], distance),
+            "spearman_gp": spearman(field_["uncertainty"], reference["uncertainty"]),
+            "spearman_gp_predictive": spearman(field_["uncertainty"], reference["predictive"]),
+            "spearman_distance": spearman(field_["uncertainty"], distance),
         }
         results.append((method, {**result, **ranks}))
         bar.update()
@@ -260,7 +251,7 @@ def _run(path: Path, method: str, toy: ToySet, seed: int, config: ToyStudyConfig
     with temporary_beside(path.with_suffix(".npz")) as unfinished, unfinished.open("wb") as file:
         np.savez_compressed(file, uncertainty=uncertainty, predictive=gini(model.predict_proba(points)))
     return {
-        "ood_auroc": area_under_curve(is_ood, np.concatenate([known, unseen])),
+        "ood_auroc": auroc(np.concatenate([known, unseen]), is_ood),
         "accuracy": float(accuracy),
         **times,
     }

@@ -1,0 +1,136 @@
+"""`contramap reproduce toy | occupancy | hinges`: the paper's experiments in the plane."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from mapping.errors import ConfigError
+from tools.options import write_json
+
+JsonFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
+
+
+def toy(
+    *,
+    out: Path,
+    sets: tuple[str, ...] = (),
+    methods: tuple[str, ...] = (),
+    seed: int = 0,
+    repeats: int = 5,
+    overwrite: bool = False,
+    json: JsonFile = None,
+) -> None:
+    """Uncertainty of six methods on Two Ovals, Two Moons and Two Circles: the paper's figure, and a table.
+
+    Example: contramap reproduce toy --out toy_out --json toy.json
+
+    Args:
+        out: Folder for runs, table and figure; a command that was cut off goes on there.
+        sets: two_ovals, two_moons, two_circles; all when left out.
+        methods: gp, mc_dropout, deep_ensemble, dnn_gp, sngp, contramap; all when left out.
+        seed: First seed.
+        repeats: Number of seeds.
+        overwrite: Compute again what is there already.
+        json: Also write the figures to this file.
+    """
+    from tools.reproduce.toy import METHODS, TOY_SETS, run_toy, toy_table
+
+    summary = run_toy(out, sets or TOY_SETS, methods or METHODS, _seeds(seed, repeats), overwrite=overwrite)
+    _report(summary, toy_table(summary), out / "uncertainty.png", json)
+
+
+def occupancy(
+    *,
+    data: Path,
+    out: Path,
+    logs: tuple[str, ...] = (),
+    methods: tuple[str, ...] = (),
+    seed: int = 0,
+    repeats: int = 3,
+    held_out_run: int = 1,
+    overwrite: bool = False,
+    json: JsonFile = None,
+) -> None:
+    """Occupancy maps of the Radish laser logs: Hilbert map, Bayesian Hilbert map and ContraMap.
+
+    The Bayesian Hilbert map takes minutes to an hour a log and seed; leave it out with --methods.
+
+    Example: contramap reproduce occupancy --data ../shared/data/radish --methods hilbert contramap --out occ
+
+    Args:
+        data: Folder of CARMEN logs, such as intel-corrected.log.gz.
+        out: Folder for runs, table and figures; a command that was cut off goes on there.
+        logs: belgioioso, edmonton, fhw, intel, mexico, aces, orebro, seattle; all when left out.
+        methods: hilbert, contramap, bayesian_hilbert; all when left out.
+        seed: First seed.
+        repeats: Number of seeds.
+        held_out_run: Consecutive scans that are held out together; 1 splits at random.
+        overwrite: Compute again what is there already.
+        json: Also write the figures to this file.
+    """
+    from tools.reproduce.landscape import LANDSCAPES
+    from tools.reproduce.occupancy import METHODS, OccupancyConfig, occupancy_table, run_occupancy
+
+    config = OccupancyConfig(held_out_run=held_out_run)
+    summary = run_occupancy(
+        data,
+        out,
+        logs or tuple(LANDSCAPES),
+        methods or METHODS,
+        _seeds(seed, repeats),
+        config,
+        overwrite,
+    )
+    _report(summary, occupancy_table(summary), out, json)
+
+
+def hinges(
+    *,
+    data: Path,
+    out: Path,
+    log: str = "intel",
+    counts: tuple[int, ...] = (350, 700, 1400, 2800, 5600),
+    methods: tuple[str, ...] = (),
+    seed: int = 0,
+    repeats: int = 3,
+    overwrite: bool = False,
+    json: JsonFile = None,
+) -> None:
+    """AUC and time against the number of hinge points, for 0, 1 and 2 hidden layers and the Bayesian map.
+
+    Example: contramap reproduce hinges --data ../shared/data/radish --out hinges_out
+
+    Args:
+        data: Folder of CARMEN logs, such as intel-corrected.log.gz.
+        out: Folder for runs, table and figure; a command that was cut off goes on there.
+        log: The log that is mapped.
+        counts: Numbers of hinge points.
+        methods: contramap_0, contramap_1, contramap_2, bayesian_hilbert; all when left out.
+        seed: First seed.
+        repeats: Number of seeds.
+        overwrite: Compute again what is there already.
+        json: Also write the figures to this file.
+    """
+    from tools.reproduce.hinges import METHODS, hinges_table, run_hinges
+
+    if not counts or min(counts) < 1:
+        raise ConfigError(f"--counts wants numbers of hinge points > 0, got {counts}")
+    summary = run_hinges(
+        data, out, log, counts, methods or METHODS, _seeds(seed, repeats), overwrite=overwrite
+    )
+    _report(summary, hinges_table(summary), out / "hinges.png", json)
+
+
+def _seeds(first: int, repeats: int) -> tuple[int, ...]:
+    if repeats < 1:
+        raise ConfigError(f"--repeats must be at least 1, got {repeats}")
+    return tuple(range(first, first + repeats))
+
+
+def _report(summary: dict[str, Any], table: str, figure: Path, json: Path | None) -> None:
+    print(table)
+    print(f"figures: {figure}")
+    write_json(summary, json)
