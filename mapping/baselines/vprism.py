@@ -177,7 +177,7 @@ class VPrism:
 
     def _groups(self, X: np.ndarray) -> Iterator[_Group]:
         """Points in cells of `cell` and the features they see, the bias last."""
-        hinges, gamma = self.hinges, np.float32(self.config.gamma)
+        hinges, gamma = self.hinges, self.config.gamma
         cutoff = self.config.cutoff
         radius = reach(gamma, cutoff) if cutoff > 0 else np.inf
         for rows in _cells(X, self.config.cell):
@@ -188,7 +188,7 @@ class VPrism:
             phi = dense_features(
                 torch.from_numpy(points),
                 torch.from_numpy(hinges[columns]),
-                torch.full((len(columns),), float(gamma)),
+                torch.full((len(columns),), gamma),
             )
             if self.config.bias:
                 phi = torch.cat([phi, torch.ones(len(phi), 1)], 1)

@@ -1,0 +1,142 @@
+"""`contramap evaluate`: methods side by side on scenes with known truth; a stopped run goes on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+DEFAULT_METHODS = ("contramap", "contramap-paper", "hilbert", "tsdf")
+"""The fast methods."""
+
+
+def evaluate(
+    scenes: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENES")],
+    *,
+    out: Path,
+    methods: tuple[str, ...] = DEFAULT_METHODS,
+    seeds: tuple[int, ...] = (0, 1, 2),
+    limit: int | None = None,
+    engine: Literal["local", "ray"] = "local",
+    workers: int = 1,
+    threads: int = 1,
+    ray_address: str | None = None,
+    ycb: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    gallery: int = 4,
+    json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+) -> None:
+    """Measure shapes, uncertainty and speed of several methods on the same scenes.
+
+    Results are kept scene by scene below OUT/runs: a stopped evaluation goes on where it was.
+    Example: contramap evaluate scenes100 --out evaluation --methods contramap contramap-paper vprism
+
+    Args:
+        scenes: Folder made by `contramap scenes`.
+        out: Folder for results.jsonl, summary.json, table.md, figures and report.html.
+        methods: contramap (preset tabletop), contramap-paper, hilbert, bayesian-hilbert, vprism,
+            vprism-bound (alpha as the bound has it), tsdf.
+        seeds: Seeds of every method's own sampling.
+        limit: Only the first scenes.
+        engine: local (processes of this machine) or ray (a cluster; needs the extra `cluster`).
+        workers: Jobs at a time; the timings are honest for 1.
+        threads: Threads of each job.
+        ray_address: A running Ray cluster; without it a local one is started.
+        ycb: Folder of YCB scans; otherwise where the scenes were made from, or where scans are looked for.
+        gallery: Scenes shown in the report's gallery; 0 makes none.
+        json: Also write the summary to this file.
+    """
+    from tools.evaluation.job import Job
+    from tools.evaluation.methods import method
+
+    for name in methods:
+        method(name)
+    folders = find_scenes(scenes, limit)
+    unique = tuple(dict.fromkeys(methods))
+    jobs = [Job(folder, seed, unique, out, ycb, threads) for seed in seeds for folder in folders]
+    check_same_scenes(jobs)
+    failures = run_jobs(jobs, engine, workers, ray_address)
+    finish(jobs, failures, gallery, json)
+
+
+def find_scenes(scenes: Path, limit: int | None) -> list[Path]:
+    """Scene folders below a folder (or the folder itself), sorted. Raises DataError when there are none."""
+    from mapping.errors import DataError
+    from sim_scenes.truth import TRUTH_FILE
+
+    if (scenes / TRUTH_FILE).is_file():
+        return [scenes]
+    found = sorted(path.parent for path in scenes.glob(f"*/{TRUTH_FILE}"))[:limit]
+    if not found:
+        raise DataError(
+            f"{scenes}: no scene (folder with {TRUTH_FILE}); `contramap scenes {scenes}` makes some"
+        )
+    return found
+
+
+def check_same_scenes(jobs) -> None:
+    """Raise ConfigError when results below the output folder came from other scenes of the same names."""
+    from mapping.errors import ConfigError
+
+    for job in jobs:
+        for name in job.methods:
+            path = job.result_file(name)
+            if path.is_file() and read_json(path).get("fingerprint") != job.fingerprint:
+                raise ConfigError(
+                    f"{path} was measured on another scene called {job.scene.name}; choose another --out"
+                )
+
+
+def read_json(path: Path) -> dict:
+    """A result file; DataError when it is broken."""
+    from tools.evaluation.summary import read_results
+
+    return read_results([path])[0]
+
+
+def run_jobs(jobs, engine: str, workers: int, ray_address: str | None) -> list[dict[str, str]]:
+    """Do what is missing of the jobs, with a progress bar; returns what failed."""
+    from tqdm import tqdm
+
+    from tools.evaluation.engine import run_local, run_ray
+
+    todo = [job for job in jobs if job.missing()]
+    if len(todo) < len(jobs):
+        print(f"{len(jobs) - len(todo)} of {len(jobs)} scene-seed pairs are done already")
+    failures: list[dict[str, str]] = []
+    with tqdm(total=len(todo), desc="scenes", unit="scene", smoothing=0.1) as bar:
+
+        def finished(job, failed) -> None:
+            failures.extend(failed)
+            for failure in failed:
+                bar.write("failed: {scene} seed {seed} {method}: {error}".format(**failure))
+            bar.set_postfix_str(job.name)
+            bar.update(not job.missing() or bool(failed))
+
+        if engine == "ray":
+            run_ray(todo, workers, finished, ray_address)
+        else:
+            run_local(todo, workers, finished)
+    return failures
+
+
+def finish(jobs, failures: list[dict[str, str]], gallery: int, json_file: Path | None) -> None:
+    """Tables of all kept results."""
+    from mapping.errors import DataError
+    from tools.evaluation.summary import read_results, summarise
+    from tools.evaluation.table import card_rows, markdown, paired_rows, shape_rows, speed_rows
+    from tools.options import write_json
+
+    out = jobs[0].out
+    files = [job.result_file(name) for name in jobs[0].methods for job in jobs]
+    results = read_results([path for path in files if path.is_file()])
+    if not results:
+        raise DataError(
+            f"nothing could be measured; first failure: {failures[0]['error'] if failures else '-'}"
+        )
+    summary = {**summarise(results), "threads": jobs[0].threads, "failures": failures}
+    write_json(summary, out / "summary.json")
+    write_json(summary, json_file)
+    tables = [shape_rows(summary), card_rows(summary), speed_rows(summary), paired_rows(summary)]
+    for table in tables[:3]:
+        print(markdown(table), end="\n\n")

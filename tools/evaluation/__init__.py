@@ -1,0 +1,1 @@
+"""The tabletop benchmark: methods, protocols, the uncertainty card, engines, tables and figures."""

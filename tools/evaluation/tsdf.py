@@ -1,0 +1,109 @@
+"""The classical baseline: a truncated signed distance field of each object's masked depth (Open3D)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from perception.camera import invert_rigid
+from perception.observation import Observation
+from tools.evaluation.methods import FittedMap
+
+VOXEL = 0.005
+"""Voxel of the volumes [m]."""
+TRUNCATION = 4.0
+"""Truncation distance, in voxels."""
+BLOCK = 8
+"""Voxels a side of Open3D's blocks."""
+MARGIN = 0.10
+"""Volumes reach this far beyond the visible points [m]."""
+FAR = 10.0
+"""Depth images are cut here [m]."""
+
+
+class FittedTsdf(FittedMap):
+    """One volume an object, and one of the whole depth image that knows which space was observed.
+
+    An object is where its distance is negative; what no ray reached counts as empty and fully uncertain.
+    """
+
+    def __init__(self, observation: Observation) -> None:
+        self.samples = np.concatenate([item.points for item in observation.objects])
+        lows, highs = (np.array(b) for b in zip(*(item.bounds for item in observation.objects)))
+        lows, highs = lows - MARGIN, highs + MARGIN
+        self.volumes = []
+        for item, low, high in zip(observation.objects, lows, highs):
+            masked = np.zeros_like(observation.depth)
+            masked.reshape(-1)[item.pixels] = observation.depth.reshape(-1)[item.pixels]
+            self.volumes.append(DenseTsdf(observation, masked, low, high))
+        everything = np.nan_to_num(observation.depth)
+        self.scene = DenseTsdf(observation, everything, lows.min(0), highs.max(0))
+
+    def predict(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        objects = np.zeros((len(points), len(self.volumes)), np.float32)
+        observed = np.zeros(len(points), bool)
+        nearest = np.ones(len(points), np.float32)
+        for index, volume in enumerate([*self.volumes, self.scene]):
+            distance, known = volume.at(points)
+            observed |= known
+            if index < len(self.volumes):
+                objects[:, index] = np.where(known, (1 - distance) / 2, 0)
+            nearest = np.where(known, np.minimum(nearest, np.abs(distance)), nearest)
+        total = np.maximum(objects.sum(1, keepdims=True), 1)
+        probability = np.concatenate([1 - objects.sum(1, keepdims=True) / total, objects / total], 1)
+        return probability, np.where(observed, (1 - nearest) / 2, 1).astype(np.float32)
+
+
+class DenseTsdf:
+    """A TSDF over a box in the table frame, integrated by Open3D from one depth image (H, W) [m], 0 = none."""
+
+    def __init__(
+        self, observation: Observation, depth: np.ndarray, low: np.ndarray, high: np.ndarray
+    ) -> None:
+        import open3d
+
+        core = open3d.core
+        grid = open3d.t.geometry.VoxelBlockGrid(
+            ("tsdf", "weight"), (core.float32, core.float32), ((1), (1)), VOXEL, BLOCK, 1024
+        )
+        side = VOXEL * BLOCK
+        first = np.floor(low / side).astype(np.int32)
+        self.shape = np.ceil(high / side).astype(np.int32) - first
+        blocks = np.stack(np.meshgrid(*(np.arange(n) for n in self.shape), indexing="ij"), -1).reshape(-1, 3)
+        grid.integrate(
+            core.Tensor((blocks + first).astype(np.int32)),
+            open3d.t.geometry.Image(np.ascontiguousarray(depth, np.float32)),
+            core.Tensor(observation.camera.K),
+            core.Tensor(invert_rigid(observation.T_table_camera)),
+            1.0,
+            FAR,
+            TRUNCATION,
+        )
+        self.origin = first * side
+        self.distance = np.zeros(self.shape * BLOCK, np.float32)
+        self.weight = np.zeros(self.shape * BLOCK, np.float32)
+        self._unpack(grid)
+
+    def at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distance over the truncation (N,) in [-1, 1] at points (N, 3), and whether it was observed (N,)."""
+        from scipy.ndimage import map_coordinates
+
+        voxel = (points - self.origin) / VOXEL
+        nearest = np.rint(voxel).astype(int)
+        inside = ((nearest >= 0) & (nearest < self.distance.shape)).all(1)
+        known = np.zeros(len(points), bool)
+        known[inside] = self.weight[tuple(nearest[inside].T)] > 0
+        distance = np.ones(len(points), np.float32)
+        distance[known] = map_coordinates(self.distance, voxel[known].T, order=1, mode="nearest")
+        return distance, known
+
+    def _unpack(self, grid: Any) -> None:
+        """From Open3D's hash map of blocks to dense arrays; unobserved voxels count as free."""
+        coordinates, index = grid.voxel_coordinates_and_flattened_indices()
+        voxel = np.rint((coordinates.numpy() - self.origin) / VOXEL).astype(int)
+        flat = index.numpy()
+        place = tuple(voxel.T)
+        self.weight[place] = grid.attribute("weight").numpy().reshape(-1)[flat]
+        self.distance[place] = grid.attribute("tsdf").numpy().reshape(-1)[flat]
+        self.distance[self.weight == 0] = 1
