@@ -121,9 +121,12 @@ def run_jobs(jobs, engine: str, workers: int, ray_address: str | None) -> list[d
 
 
 def finish(jobs, failures: list[dict[str, str]], gallery: int, json_file: Path | None) -> None:
-    """Tables of all kept results."""
+    """Write results.jsonl, summary.json, table.md, figures and report.html from all kept results."""
     from mapping.errors import DataError
-    from tools.evaluation.summary import read_results, summarise
+    from reconstruction.atomic import write_atomically
+    from tools.evaluation.figures import write_figures
+    from tools.evaluation.report import write_report
+    from tools.evaluation.summary import json_lines, read_results, summarise
     from tools.evaluation.table import card_rows, markdown, paired_rows, shape_rows, speed_rows
     from tools.options import write_json
 
@@ -131,12 +134,36 @@ def finish(jobs, failures: list[dict[str, str]], gallery: int, json_file: Path |
     files = [job.result_file(name) for name in jobs[0].methods for job in jobs]
     results = read_results([path for path in files if path.is_file()])
     if not results:
-        raise DataError(
-            f"nothing could be measured; first failure: {failures[0]['error'] if failures else '-'}"
-        )
+        reason = failures[0]["error"] if failures else "no job ran"
+        raise DataError(f"{out}: nothing could be measured; first failure: {reason}")
     summary = {**summarise(results), "threads": jobs[0].threads, "failures": failures}
     write_json(summary, out / "summary.json")
     write_json(summary, json_file)
-    tables = [shape_rows(summary), card_rows(summary), speed_rows(summary), paired_rows(summary)]
-    for table in tables[:3]:
-        print(markdown(table), end="\n\n")
+    write_atomically(out / "results.jsonl", json_lines(results).encode())
+    tables = [markdown(rows(summary)) for rows in (shape_rows, card_rows, speed_rows, paired_rows)]
+    write_atomically(out / "table.md", ("\n\n".join(tables) + "\n").encode())
+    figures = write_figures(results, out / "figures")
+    picture = make_gallery(jobs, gallery)
+    write_report(summary, figures, picture, out / "report.html")
+    print("\n\n".join(tables[:3]))
+    print(f"\n{out / 'report.html'}")
+
+
+def make_gallery(jobs, count: int) -> Path | None:
+    """Draw the gallery of the first scenes: ContraMap beside V-PRISM where both are evaluated."""
+    from tqdm import tqdm
+
+    from tools.evaluation.gallery import gallery_pictures, write_gallery
+
+    wanted = ("contramap", "vprism")
+    names = tuple(name for name in wanted if name in jobs[0].methods) or jobs[0].methods[:1]
+    first = jobs[0].seed
+    chosen = [job for job in jobs if job.seed == first][:count]
+    if not chosen:
+        return None
+    rows = {}
+    for job in tqdm(chosen, desc="gallery"):
+        rows[job.scene.name] = gallery_pictures(job.scene, names, job.ycb_dir)
+    path = jobs[0].out / "figures" / "gallery.png"
+    write_gallery(rows, path)
+    return path

@@ -64,6 +64,20 @@ def read_results(files: Sequence[Path]) -> list[dict[str, Any]]:
     return results
 
 
+def json_lines(results: list[dict[str, Any]]) -> str:
+    """One short line a result: scene means, each object's IoU and Chamfer distances, rounded; no curves."""
+    lines = []
+    for result in results:
+        values = {key: float(f"{value:.4g}") for key, value in scene_values(result).items()}
+        per_object = {
+            metric: [item.get(metric) and float(f"{item[metric]:.3g}") for item in result["objects"]]
+            for metric in ("iou", "chamfer_mm", "iou_5mm", "chamfer_5mm")
+        }
+        head = {key: result[key] for key in ("scene", "method", "seed", "object_count")}
+        lines.append(json.dumps({**head, **values, "objects": per_object}, separators=(",", ":")))
+    return "\n".join(lines) + "\n"
+
+
 def scene_values(result: dict[str, Any]) -> dict[str, float]:
     """One number a metric for one result; metrics without any value are left out."""
     values: dict[str, float] = {}

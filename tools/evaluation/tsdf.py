@@ -56,7 +56,7 @@ class FittedTsdf(FittedMap):
 
 
 class DenseTsdf:
-    """A TSDF over a box in the table frame, integrated by Open3D from one depth image (H, W) [m], 0 = none."""
+    """A TSDF over a box in the table frame, from one depth image (H, W) [m] where 0 is missing (Open3D)."""
 
     def __init__(
         self, observation: Observation, depth: np.ndarray, low: np.ndarray, high: np.ndarray

@@ -1,0 +1,151 @@
+"""The paper's gallery, scene by scene: what the camera saw, two methods' meshes and uncertainty slices."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from perception.camera import Camera
+from reconstruction.meshing import MeshConfig
+from reconstruction.palette import object_colour, uncertainty_colours
+from reconstruction.shading import ShadingConfig, render
+from tools.evaluation.case import Case, load_case
+from tools.evaluation.methods import FittedMap, method
+from tools.evaluation.protocol import delivered_meshes
+
+WIDTH = 480
+"""Width of every picture [px]."""
+SLICE_MARGIN = 0.08
+"""Space shown around the objects in a slice [m]."""
+SEED = 0
+"""Seed of the maps that are shown."""
+
+
+def gallery_pictures(scene: Path, names: tuple[str, ...], ycb_dir: Path | None) -> dict[str, np.ndarray]:
+    """Title -> picture (H, W, 3) uint8: colour image, segmented cloud, mesh and slice of each method."""
+    case = load_case(scene, ycb_dir)
+    camera = _small(case)
+    pictures = {"RGB": _resized(_rgb(case), camera), "segmented cloud": _resized(_labels(case), camera)}
+    for name in names:
+        fitted = method(name)(case.observation, case.space, case.rng(SEED, "fit"))
+        meshes, _ = delivered_meshes(fitted, case, MeshConfig())
+        pictures[f"{name}: meshes"] = _shaded(case, camera, meshes)
+        pictures[f"{name}: uncertainty slice"] = _slice(case, fitted, meshes, camera)
+    return pictures
+
+
+def write_gallery(rows: dict[str, dict[str, np.ndarray]], path: Path) -> None:
+    """One picture with a row a scene and a column a kind of picture."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    titles = list(next(iter(rows.values())))
+    ratio = np.mean([picture.shape[0] / picture.shape[1] for picture in next(iter(rows.values())).values()])
+    figure, axes = plt.subplots(
+        len(rows),
+        len(titles),
+        figsize=(2.6 * len(titles), 2.6 * ratio * len(rows) + 0.3),
+        dpi=130,
+        squeeze=False,
+        gridspec_kw={"wspace": 0.02, "hspace": 0.02},
+        layout="constrained",
+    )
+    for row, pictures in zip(axes, rows.values()):
+        for cell, title in zip(row, titles):
+            cell.imshow(pictures[title])
+            cell.set_axis_off()
+            if row is axes[0]:
+                cell.set_title(title, fontsize=9)
+    figure.savefig(path)
+    plt.close(figure)
+
+
+def _small(case: Case) -> Camera:
+    """The frame's camera in the table frame, at the gallery's size."""
+    camera = case.frame.camera
+    scale = WIDTH / camera.width
+    height = round(camera.height * scale)
+    K = camera.K * np.array([[scale], [scale], [1.0]])
+    return Camera(K, WIDTH, height, case.observation.T_table_camera)
+
+
+def _resized(picture: np.ndarray, camera: Camera) -> np.ndarray:
+    import cv2
+
+    return cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+
+
+def _rgb(case: Case) -> np.ndarray:
+    if case.frame.rgb is not None:
+        return case.frame.rgb
+    return np.full((*case.frame.depth.shape, 3), 200, np.uint8)
+
+
+def _labels(case: Case) -> np.ndarray:
+    """The measured points in the colours of their objects, the rest of the image faded."""
+    grey = _rgb(case).mean(2, keepdims=True)
+    picture = np.repeat(200 + 0.2 * (grey - 128), 3, axis=2)
+    shade = 0.45 + 0.55 * np.clip(grey / 160, 0.3, 1.15)
+    flat, light = picture.reshape(-1, 3), shade.reshape(-1, 1)
+    for index, item in enumerate(case.observation.objects):
+        flat[item.pixels] = np.array(object_colour(index)) * light[item.pixels]
+    return np.clip(picture, 0, 255).astype(np.uint8)
+
+
+def _shaded(case: Case, camera: Camera, meshes: dict[int, tuple[trimesh.Trimesh, np.ndarray]]) -> np.ndarray:
+    """Delivered meshes from the camera's viewpoint, in the colours of their objects."""
+    if not meshes:
+        return np.full((camera.height, camera.width, 3), ShadingConfig().background, np.uint8)
+    colours = [
+        np.tile(object_colour(case.index_of[label]), (len(mesh.vertices), 1))
+        for label, (mesh, _) in meshes.items()
+    ]
+    ground = (np.array([0.0, 0.0, 1.0]), 0.0) if case.observation.support is not None else None
+    return render([mesh for mesh, _ in meshes.values()], colours, camera, ground)
+
+
+def _slice(
+    case: Case,
+    fitted: FittedMap,
+    meshes: dict[int, tuple[trimesh.Trimesh, np.ndarray]],
+    camera: Camera,
+) -> np.ndarray:
+    """Uncertainty on the horizontal plane through the objects' seen middles; the camera is at the bottom.
+
+    Lines: true outlines white, predicted outlines black.
+    """
+    seen = np.concatenate([item.points for item in case.observation.objects])
+    height = float(np.median([item.points[:, 2].mean() for item in case.observation.objects]))
+    low, high = seen.min(0)[:2] - SLICE_MARGIN, seen.max(0)[:2] + SLICE_MARGIN
+    step = max((high[0] - low[0]) / camera.height, (high[1] - low[1]) / camera.width)
+    middle = (low + high) / 2
+    # Picture rows run towards the camera (-x of the table frame), columns to its right (-y).
+    x = middle[0] + step * (camera.height / 2 - np.arange(camera.height) - 0.5)
+    y = middle[1] + step * (camera.width / 2 - np.arange(camera.width) - 0.5)
+    points = np.stack(
+        [*np.meshgrid(x[::2], y[::2], indexing="ij"), np.full((len(x[::2]), len(y[::2])), height)], -1
+    )
+    uncertainty = fitted.predict(points.reshape(-1, 3).astype(np.float32))[1].reshape(points.shape[:2])
+    picture = _resized(uncertainty_colours(np.clip(uncertainty, 0, 1)), replace(camera))
+    for mesh in case.meshes.values():
+        _outline(picture, mesh, height, x[0], y[0], step, (255, 255, 255))
+    for mesh, _ in meshes.values():
+        _outline(picture, mesh, height, x[0], y[0], step, (20, 20, 20))
+    return picture
+
+
+def _outline(
+    picture, mesh: trimesh.Trimesh, height: float, x0: float, y0: float, step: float, colour
+) -> None:
+    """Draw where a mesh crosses the slice."""
+    import cv2
+    from trimesh.intersections import mesh_plane
+
+    segments = mesh_plane(mesh, np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, height])).reshape(-1, 2, 3)
+    pixels = np.stack([(y0 - segments[..., 1]) / step, (x0 - segments[..., 0]) / step], -1)
+    cv2.polylines(picture, list(np.rint(pixels).astype(np.int32)), False, colour, 1, cv2.LINE_AA)
