@@ -32,7 +32,8 @@ class UncertaintyClassifier(ABC):
 def gini(probabilities: np.ndarray) -> np.ndarray:
     """(N,) sum_c p_c (1 - p_c) over its largest value; for two classes this is 4 p (1 - p)."""
     classes = probabilities.shape[1]
-    return (1.0 - (probabilities**2).sum(axis=1)) * (classes / (classes - 1))
+    spread = 1.0 - (probabilities**2).sum(axis=1)
+    return np.maximum(spread, 0.0) * (classes / (classes - 1))  # rounding may leave -1e-7
 
 
 def check_labelled_points(X: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
