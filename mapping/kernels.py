@@ -18,6 +18,8 @@ PREDICT_CUTOFF = 1e-7
 """Features below this are dropped while predicting: below float32 rounding of the logits."""
 GRAM_ROWS_PER_HINGE, GRAM_LEAST_ROWS = 2, 4000
 """The Gram matrix is estimated from at least this many rows."""
+GRAM_CUTOFF = 0.02
+"""Features below this are left out of the Gram matrix."""
 
 
 @dataclass(frozen=True)
@@ -38,16 +40,21 @@ class SparseFeatures:
 
     def gram(self, row_weights: torch.Tensor) -> torch.Tensor:
         """Estimate of sum_i w_i phi_i phi_i^T, (H, H); row_weights: (N,)."""
-        # It only guides the fit's steps: of many rows a part will do.
+        # It only guides the fit's steps: a part of many rows, and the larger features, will do.
         count = len(self.transposed_offsets)
         stride = max(1, len(self.order) // max(GRAM_ROWS_PER_HINGE * count, GRAM_LEAST_ROWS))
+        rows = self._csr()[::stride]
+        rows.data[rows.data < GRAM_CUTOFF] = 0
+        rows.eliminate_zeros()
+        rows.data *= np.repeat(
+            np.sqrt(stride * row_weights.cpu().numpy()[::stride]), np.diff(rows.indptr)
+        ).astype(np.float32)
+        return torch.from_numpy((rows.T.tocsr() @ rows).toarray()).to(self.values.device)
+
+    def _csr(self) -> sparse.csr_matrix:
         offsets = np.append(self.offsets.cpu().numpy(), len(self.values))
         shape = (len(self.order), len(self.transposed_offsets))
-        rows = sparse.csr_matrix((self.values.cpu().numpy(), self.columns.cpu().numpy(), offsets), shape)
-        rows = rows[::stride]
-        weights = stride * row_weights.cpu().numpy()[::stride]
-        gram = (rows.T.tocsr() @ rows.multiply(weights[:, None]).tocsr()).toarray()
-        return torch.from_numpy(gram).to(self.values.device)
+        return sparse.csr_matrix((self.values.cpu().numpy(), self.columns.cpu().numpy(), offsets), shape)
 
     def times(self, W: torch.Tensor) -> torch.Tensor:
         """Phi W: (H, C) -> (N, C)."""
@@ -126,19 +133,17 @@ def sparse_features(
     order, column, value = torch.cat(rows_of), torch.cat(columns).int(), torch.cat(values)
     length = torch.cat(lengths)
     offsets = (length.cumsum(0) - length).int()
-    # A stable sort by column transposes; rows stay in order inside each column.
-    by_column = torch.sort(column, stable=True).indices
-    row = torch.repeat_interleave(torch.arange(len(length), dtype=torch.int32), length)
-    counts = torch.bincount(column, minlength=len(hinges))
-    transposed_offsets = (counts.cumsum(0) - counts).int()
+    ends = np.append(offsets.numpy(), len(value))
+    shape = (len(order), len(hinges))
+    transposed = sparse.csr_matrix((value.numpy(), column.numpy(), ends), shape).tocsc()
     tensors = (
         order,
         torch.cat(strongest),
         offsets,
         column,
         value,
-        transposed_offsets,
-        row[by_column],
-        value[by_column],
+        torch.from_numpy(transposed.indptr[:-1].astype(np.int32)),
+        torch.from_numpy(transposed.indices.astype(np.int32)),
+        torch.from_numpy(transposed.data),
     )
     return SparseFeatures(*(t.to(device) for t in tensors))

@@ -54,6 +54,11 @@ def jittered_lattice(
     return (low + (cells + rng.random(cells.shape)) * spacing).astype(np.float32)
 
 
+def jittered(points: np.ndarray, spacing: float, rng: np.random.Generator) -> np.ndarray:
+    """Lattice points (N, d) moved at random within their cells of `spacing`."""
+    return (points + spacing * (rng.random(points.shape) - 0.5)).astype(np.float32)
+
+
 def within(points: np.ndarray, centres: np.ndarray, radius: float) -> np.ndarray:
     """Mask (N,): points (N, d) within `radius` of any centre (M, d)."""
     near = np.zeros(len(points), bool)

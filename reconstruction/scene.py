@@ -115,7 +115,7 @@ def _object_field(field: Field, index: int, item: ObservedObject, bounds: np.nda
 
 def _place(mesh, uncertainty, item: ObservedObject, class_index: int, T_world_table) -> ReconstructedObject:
     """The object in the world frame, with its upright box of least footprint."""
-    T_table_object, extents = _upright_box(np.asarray(mesh.vertices))
+    T_table_object, extents = upright_box(np.asarray(mesh.vertices))
     mesh.vertices = transform(T_world_table, np.asarray(mesh.vertices))
     return ReconstructedObject(
         label=item.label,
@@ -128,7 +128,7 @@ def _place(mesh, uncertainty, item: ObservedObject, class_index: int, T_world_ta
     )
 
 
-def _upright_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def upright_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pose (4, 4) and size (3,) of the smallest box around points (V, 3) whose z axis stays vertical."""
     import cv2
 

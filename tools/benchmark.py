@@ -21,6 +21,7 @@ def latency(
     frame: Path,
     repeat: int = 7,
     preset: str = "tabletop",
+    prior: str = "learned",
     device: str = "auto",
     seed: int = 0,
     set: tuple[str, ...] = (),
@@ -34,6 +35,7 @@ def latency(
         frame: Frame folder or .npz file.
         repeat: Counted runs, after one that warms up.
         preset: tabletop or paper.
+        prior: learned or none.
         device: cpu, cuda or auto.
         seed: Seed of every run.
         set: Single settings, such as mesh.spacing=0.003.
@@ -46,7 +48,7 @@ def latency(
 
     if repeat < 1:
         raise ConfigError(f"--repeat must be at least 1, got {repeat}")
-    config = pipeline_config(preset, device, set)
+    config = pipeline_config(preset, device, prior, set)
     runs: list[dict[str, float]] = []
     for _ in range(repeat + 1):
         start = perf_counter()

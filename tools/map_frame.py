@@ -27,6 +27,7 @@ def map_frame(
     ] = None,
     depth_scale: Annotated[float | None, tyro.conf.arg(metavar="M")] = None,
     preset: str = "tabletop",
+    prior: str = "learned",
     device: str = "auto",
     seed: int = 0,
     spacing: Annotated[float | None, tyro.conf.arg(metavar="M")] = None,
@@ -49,6 +50,7 @@ def map_frame(
         intrinsics: Focal lengths and principal point [px], with --depth.
         depth_scale: Metres per stored depth unit, with --depth; 0.001 (millimetres) by default.
         preset: tabletop (default) or paper (samples and hinge points as published).
+        prior: What guesses hidden shapes: learned (default), or none; the paper preset has none.
         device: cpu, cuda or auto.
         seed: Same seed, same meshes.
         spacing: Lattice spacing of the meshes [m], 0.005 by default.
@@ -61,7 +63,7 @@ def map_frame(
     from reconstruction import reconstruct
     from reconstruction.result_folder import check_output, save_reconstruction
 
-    settings = pipeline_config(preset, device, set, config, spacing, max_uncertainty)
+    settings = pipeline_config(preset, device, prior, set, config, spacing, max_uncertainty)
     check_output(out, overwrite)
     loaded = _load(frame, rgb, depth, labels, intrinsics, depth_scale)
     reconstruction = reconstruct(loaded, settings, seed)

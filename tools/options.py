@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 def pipeline_config(
     preset_name: str,
     device: str = "auto",
+    prior: str | None = None,
     settings: tuple[str, ...] = (),
     config_file: Path | None = None,
     spacing: float | None = None,
@@ -28,7 +29,7 @@ def pipeline_config(
     """
     from reconstruction.config import override, preset
 
-    config = preset(preset_name, device)
+    config = preset(preset_name, device, prior)
     if config_file is not None:
         config = override(config, _read_json(config_file))
     for setting in settings:

@@ -25,7 +25,8 @@ from perception.observation import Observation
 from perception.space import Space
 from reconstruction.config import preset
 from reconstruction.field import OUTSIDE, Field, evaluate_field
-from reconstruction.training_set import PaperSamples, TrainingSet
+from reconstruction.paper_samples import PaperSamples
+from reconstruction.training_set import TrainingSet
 
 
 class FittedMap(ABC):

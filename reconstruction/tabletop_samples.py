@@ -1,0 +1,150 @@
+"""Samples and hinge points that use what a depth image says of space, for the `tabletop` preset.
+
+Knows what one observation says of free, occluded and supporting space; knows nothing of the fit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mapping.hinges import lattice_near_points
+from mapping.samples import jittered, jittered_lattice, shift_along_rays, voxel_subsample
+from perception.observation import Observation
+from perception.space import Region, Space
+from reconstruction.hidden_space import hidden_labels
+from reconstruction.training_set import TrainingSet, assemble
+
+
+@dataclass(frozen=True)
+class TabletopSamples:
+    """Samples that use what the depth image says of space: surface pairs, free and occluded samples."""
+
+    radius: float = 0.18
+    """The map covers this distance around each object's box [m]."""
+    coarse_spacing: float = 0.05
+    """Spacing of the hinge lattice over the whole covered space [m]."""
+    coarse_gamma: float = 1000.0
+    """Kernel width of the coarse hinge points [1/m^2]."""
+    fine_spacing: float = 0.025
+    """Spacing of the hinge lattice near objects and behind their surface [m]."""
+    fine_gamma: float = 2000.0
+    """Kernel width of the fine hinge points [1/m^2]."""
+    fine_distance: float = 0.03
+    """Fine hinge points lie within this distance of a seen object surface [m]."""
+    finest_spacing: float = 0.0125
+    """Spacing of the hinge lattice on seen object surfaces [m]."""
+    finest_gamma: float = 8000.0
+    """Kernel width of the finest hinge points [1/m^2]."""
+    finest_distance: float = 0.0
+    """Finest hinge points lie within this distance of a seen object surface [m]; negative: none."""
+    surface_voxel: float = 0.008
+    """Voxel that keeps one surface pair of an object [m]."""
+    pair_offset: float = 0.004
+    """A free sample this far before, an object sample this far behind each surface point [m]."""
+    near_spacing: float = 0.010
+    """Spacing of samples of every kind near seen object surfaces [m]."""
+    near_distance: float = 0.02
+    """How far from a seen object surface is near [m]."""
+    free_spacing: float = 0.025
+    """Spacing of free samples elsewhere [m]."""
+    occluded_spacing: float = 0.018
+    """Spacing of samples in occluded space elsewhere [m]."""
+    floor_spacing: float = 0.010
+    """Spacing of empty samples right under the support plane [m]."""
+    below_spacing: float = 0.02
+    """Spacing of empty samples deeper under the support plane [m]."""
+    below_depth: float = 0.04
+    """Thickness of the layer under the support plane that is known to be empty of objects [m]."""
+    least_uncertain: float = 0.4
+    """Share of "uncertain" in the label of an occluded sample whose structure is beyond doubt."""
+    prior: Literal["learned", "none"] = "learned"
+    """What guesses the structure of occluded space: the learned occlusion prior, or a thin shell."""
+    shell: float = 0.02
+    """Without a prior, occluded space nearer than this to a seen surface leans to that object [m]."""
+
+    def draw(self, observation: Observation, space: Space, rng: np.random.Generator) -> TrainingSet:
+        """The training set of one observation, in its table frame."""
+        seen = np.concatenate([item.points for item in observation.objects])
+        low, high = seen.min(0) - self.radius, seen.max(0) + self.radius
+        supported = observation.support is not None
+        if supported:
+            low[2] = 0.0
+        free = self._cover(observation, low, high, self.free_spacing, rng)
+        free = free[space.classify(free) == Region.FREE]
+        hidden = self._cover(observation, low, high, self.occluded_spacing, rng)
+        hidden = hidden[space.classify(hidden) == Region.OCCLUDED]
+        near = lattice_near_points(seen, self.near_distance, self.near_spacing)
+        near = jittered(near, self.near_spacing, rng)
+        region = space.classify(near)
+        hidden = np.concatenate([hidden, near[region == Region.OCCLUDED]])
+        empty, inside = [free, near[(region == Region.FREE) | (region == Region.BELOW_SUPPORT)]], []
+        for item in observation.objects:
+            points = item.points[voxel_subsample(item.points, self.surface_voxel, rng)]
+            empty.append(shift_along_rays(space.origin, points, -self.pair_offset))
+            inside.append(shift_along_rays(space.origin, points, self.pair_offset))
+        if supported:
+            # A dense layer right under the plane closes the objects' bottoms, a coarse one goes deeper.
+            for top, bottom, spacing in (
+                (0.0, -self.pair_offset, self.floor_spacing),
+                (-self.pair_offset, -self.below_depth, self.below_spacing),
+            ):
+                layer = np.array([*low[:2], bottom]), np.array([*high[:2], top])
+                below = self._cover(observation, *layer, spacing, rng)
+                empty.append(below[below[:, 2] < top])
+        if self.prior == "learned" and supported:
+            structure = hidden_labels(observation, space, hidden)
+        else:
+            structure = self._shell_structure(observation, hidden)
+        hinges, gamma = self._hinges(seen, np.concatenate([free, hidden]))
+        classes = [np.concatenate(empty), *inside]
+        return assemble(classes, hidden, self._soft_labels(structure), hinges, gamma)
+
+    def _hinges(self, seen: np.ndarray, covered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Hinge points (H, 3) and widths (H,): coarse over the covered space, finer near what is seen."""
+        lattices = [
+            (lattice_near_points(covered, 0.0, self.coarse_spacing), self.coarse_gamma),
+            (lattice_near_points(seen, self.fine_distance, self.fine_spacing), self.fine_gamma),
+        ]
+        if self.finest_distance >= 0:
+            finest = lattice_near_points(seen, self.finest_distance, self.finest_spacing)
+            lattices.append((finest, self.finest_gamma))
+        points, widths = zip(*lattices)
+        return np.concatenate(points), np.repeat(widths, [len(p) for p in points])
+
+    def _cover(
+        self,
+        observation: Observation,
+        low: np.ndarray,
+        high: np.ndarray,
+        spacing: float,
+        rng: np.random.Generator,
+    ) -> np.ndarray:
+        """Jittered samples (M, 3) of the box low..high that lie within `radius` of any object's box."""
+        points = jittered_lattice(low, high, spacing, rng)
+        near = np.zeros(len(points), bool)
+        for item in observation.objects:
+            box_low, box_high = item.bounds
+            gap = np.maximum(np.maximum(box_low - points, points - box_high), 0)
+            near |= np.einsum("ij,ij->i", gap, gap) < self.radius**2
+        return points[near]
+
+    def _shell_structure(self, observation: Observation, points: np.ndarray) -> np.ndarray:
+        """(N, K+1) guess of {empty, object 1..K} from the distance to each object's seen surface alone."""
+        distance = np.stack([cKDTree(o.points[::4]).query(points)[0] for o in observation.objects], 1)
+        nearest = distance.argmin(1)
+        rows = np.arange(len(points))
+        inside = 1 / (1 + np.exp((distance[rows, nearest] - self.shell) / (0.3 * self.shell)))
+        structure = np.zeros((len(points), len(observation.objects) + 1), np.float32)
+        structure[rows, nearest + 1] = inside
+        structure[:, 0] = 1 - inside
+        return structure
+
+    def _soft_labels(self, structure: np.ndarray) -> np.ndarray:
+        """Labels (N, C+1) of occluded samples: sure structure keeps its label, doubt becomes "uncertain"."""
+        entropy = -(structure * np.log(np.maximum(structure, 1e-9))).sum(1) / np.log(2)
+        doubt = self.least_uncertain + (1 - self.least_uncertain) * np.minimum(entropy, 0.97)
+        return np.column_stack([structure * (1 - doubt)[:, None], doubt])
