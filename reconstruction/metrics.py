@@ -25,8 +25,8 @@ def raycasting_scene(mesh: trimesh.Trimesh) -> Any:
         raise DataError("the mesh has no triangles")
     scene = open3d.t.geometry.RaycastingScene()
     scene.add_triangles(
-        open3d.core.Tensor(np.ascontiguousarray(mesh.vertices, np.float32)),
-        open3d.core.Tensor(np.ascontiguousarray(mesh.faces, np.uint32)),
+        open3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.vertices, np.float32)),
+        open3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.faces, np.uint32)),
     )
     return scene
 
@@ -35,7 +35,7 @@ def inside(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
     """Which points (..., 3) [m] lie inside a closed mesh: (...) bool."""
     import open3d
 
-    query = open3d.core.Tensor(np.ascontiguousarray(points, np.float32))
+    query = open3d.core.Tensor.from_numpy(np.ascontiguousarray(points, np.float32))
     return raycasting_scene(mesh).compute_occupancy(query, nsamples=OCCUPANCY_RAYS).numpy() > 0.5
 
 
@@ -43,7 +43,7 @@ def distance_to_surface(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray
     """Distance [m] of points (..., 3) to the nearest point of the mesh's surface: (...) float32."""
     import open3d
 
-    query = open3d.core.Tensor(np.ascontiguousarray(points, np.float32))
+    query = open3d.core.Tensor.from_numpy(np.ascontiguousarray(points, np.float32))
     return raycasting_scene(mesh).compute_distance(query).numpy()
 
 
@@ -65,7 +65,7 @@ def iou(predicted: np.ndarray, true: np.ndarray) -> float:
 
 
 def iou_on_grid(predicted: np.ndarray, true_mesh: trimesh.Trimesh, points: np.ndarray) -> float:
-    """IoU of predicted occupancy (...) bool at lattice points (..., 3) [m] with the inside of the true mesh."""
+    """IoU of predicted occupancy (...) bool at points (..., 3) [m] with the inside of the true mesh."""
     return iou(predicted, inside(true_mesh, points))
 
 

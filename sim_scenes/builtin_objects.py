@@ -13,9 +13,9 @@ import numpy as np
 from mapping.errors import ConfigError
 from sim_scenes import builtin_tools, builtin_toys, builtin_vessels, shipped_shapes
 from sim_scenes.object_model import ObjectModel
-from sim_scenes.paint import Colored
+from sim_scenes.paint import Shape
 
-PROCEDURAL: dict[str, Callable[[np.random.Generator], Colored]] = {
+PROCEDURAL: dict[str, Callable[[np.random.Generator], Shape]] = {
     "box": builtin_toys.box,
     "can": builtin_vessels.can,
     "bottle": builtin_vessels.bottle,
@@ -43,16 +43,16 @@ def families() -> list[str]:
 
 
 def make(family: str, rng: np.random.Generator) -> ObjectModel:
-    """One object of a family with random dimensions and colours.
+    """One object of a family with random dimensions and colours (shipped shapes have fixed ones).
 
     Raises ConfigError for an unknown family.
     """
     if family in PROCEDURAL:
-        mesh, colors = PROCEDURAL[family](rng)
+        mesh, colors, parts = PROCEDURAL[family](rng)
         tint = np.clip(colors * 255, 0, 255).astype(np.uint8)
-        return ObjectModel(family, "builtin", mesh, vertex_colors=tint)
+        return ObjectModel(family, "builtin", mesh, vertex_colors=tint, parts=tuple(parts))
     if family in shipped_shapes.names():
-        return shipped_shapes.load(family, rng)
+        return shipped_shapes.load(family)
     raise ConfigError(f"family: {family!r} is unknown; valid: {', '.join(families())}")
 
 

@@ -51,10 +51,17 @@ def collision_file(model: ObjectModel, config: ConvexConfig | None = None) -> Pa
         parts = _decompose(model.mesh, config)
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-        with os.fdopen(handle, "w") as stream:
-            stream.write(_as_obj([part - model.center_of_mass for part in parts]))
+        os.close(handle)
+        write_parts(model, parts, Path(temporary))
         os.replace(temporary, path)
     return path
+
+
+def write_parts(model: ObjectModel, parts: Sequence[np.ndarray], path: Path) -> None:
+    """Write parts (N, 3) [m] of a model as groups of an OBJ file, pulled onto its mesh, about its centre."""
+    sizes = np.cumsum([len(part) for part in parts])[:-1]
+    points = _pull_inside(np.concatenate(parts), model.mesh) - model.center_of_mass
+    path.write_text(_as_obj(np.split(points, sizes)))
 
 
 def build_all(
@@ -64,7 +71,7 @@ def build_all(
     from tqdm import tqdm
 
     config = config or ConvexConfig()
-    missing = [model for model in models if not _cached_path(model, config).is_file()]
+    missing = [model for model in models if not (model.parts or _cached_path(model, config).is_file())]
     if not missing:
         return
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
@@ -99,7 +106,7 @@ def _decompose(mesh: trimesh.Trimesh, config: ConvexConfig) -> list[np.ndarray]:
             parts = _read_parts(found)
         except (subprocess.TimeoutExpired, subprocess.CalledProcessError, OSError):
             parts = []
-    return [_pull_inside(part, mesh) for part in parts] or [np.asarray(hull.vertices)]
+    return parts or [np.asarray(hull.vertices)]
 
 
 def _pull_inside(points: np.ndarray, mesh: trimesh.Trimesh) -> np.ndarray:

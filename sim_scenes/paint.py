@@ -7,8 +7,8 @@ import colorsys
 import numpy as np
 import trimesh
 
-Colored = tuple[trimesh.Trimesh, np.ndarray]
-"""A mesh and its (V, 3) colours in 0..1."""
+Shape = tuple[trimesh.Trimesh, np.ndarray, list[np.ndarray]]
+"""A mesh, its (V, 3) colours in 0..1, and its convex parts as points (N, 3) [m]."""
 
 
 def random_color(rng: np.random.Generator, strong: bool = True) -> np.ndarray:

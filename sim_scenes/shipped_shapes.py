@@ -6,8 +6,6 @@ from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 
-import numpy as np
-
 from sim_scenes.object_model import ObjectModel, load_model
 
 SHIPPED = {
@@ -18,9 +16,7 @@ SHIPPED = {
     "toy_prism": ("toys/prism.obj", 0.10),
     "domino": ("domino/domino.obj", 0.05),
 }
-"""Name -> (file in pybullet_data, largest extent [m] in the mean)."""
-SIZE_SPREAD = 0.2
-"""Sizes vary by this share up and down."""
+"""Name -> (file in pybullet_data, largest extent [m])."""
 
 
 @lru_cache(maxsize=1)
@@ -30,21 +26,16 @@ def names() -> tuple[str, ...]:
     return tuple(name for name, (file, _) in SHIPPED.items() if folder and (folder / file).is_file())
 
 
-def load(name: str, rng: np.random.Generator) -> ObjectModel:
-    """A shipped mesh, scaled about its usual size by `rng`."""
+@lru_cache(maxsize=16)
+def load(name: str) -> ObjectModel:
+    """A shipped mesh at household size; always the same, so that its collision shape is cached."""
     file, extent = SHIPPED[name]
     folder = _folder()
     assert folder is not None, "names() lists what can be loaded"
-    plain = _read(folder / file, name)
-    size = extent * rng.uniform(1 - SIZE_SPREAD, 1 + SIZE_SPREAD) / float(plain.mesh.extents.max())
+    plain = load_model(folder / file, name, "builtin")
     mesh = plain.mesh.copy()
-    mesh.apply_scale(size)
+    mesh.apply_scale(extent / float(plain.mesh.extents.max()))
     return ObjectModel(name, "builtin", mesh, plain.vertex_colors, plain.corner_uv, plain.texture)
-
-
-@lru_cache(maxsize=16)
-def _read(path: Path, name: str) -> ObjectModel:
-    return load_model(path, name, "builtin")
 
 
 def _folder() -> Path | None:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 Polygon = Sequence[tuple[float, float]]
 """Corners (radius, z) [m] of a convex cross-section."""
 
-SECTORS = 14
+SECTORS = 20
 """Pieces a ring is cut into."""
 
 

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import os
 import sys
+import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mapping.errors import ContraMapError
-from sim_scenes.convex_parts import collision_file
+from sim_scenes.convex_parts import collision_file, write_parts
 from sim_scenes.object_model import ObjectModel
 
 
@@ -39,6 +41,8 @@ class TabletopConfig:
     """Longest time waited for everything to come to rest."""
     still_speed: float = 0.004
     """Speed [m/s], and a tenth of the turning speed [rad/s], below which an object is at rest."""
+    margin_m: float = 0.0002
+    """Gap that physics keeps between objects."""
     rest_radius_m: float = 0.45
     """Objects that rolled farther from the centre are taken away."""
 
@@ -65,6 +69,7 @@ class Tabletop:
         self._client = pybullet.connect(pybullet.DIRECT)
         if self._client < 0:
             raise ContraMapError("pybullet could not start a physics world (too many open ones?)")
+        self._scratch = tempfile.TemporaryDirectory()
         self._bodies: dict[int, ObjectModel] = {}
         bullet, client = self._bullet, self._client
         bullet.setGravity(0, 0, -9.81, physicsClientId=client)
@@ -86,6 +91,7 @@ class Tabletop:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._bullet.disconnect(self._client)
+        self._scratch.cleanup()
 
     def drop(self, models: Sequence[ObjectModel], rng: np.random.Generator) -> None:
         """Let the models fall one after another at random places and in random orientations, then settle."""
@@ -132,7 +138,7 @@ class Tabletop:
     def _add(self, model: ObjectModel, rotation: Rotation, xy: np.ndarray) -> None:
         bullet, client = self._bullet, self._client
         shape = bullet.createCollisionShape(
-            bullet.GEOM_MESH, fileName=str(collision_file(model)), physicsClientId=client
+            bullet.GEOM_MESH, fileName=str(self._collision_file(model)), physicsClientId=client
         )
         solid = model.mesh.volume if model.watertight else 0.5 * model.mesh.convex_hull.volume
         rotated = rotation.apply(model.mesh.vertices - model.center_of_mass)
@@ -153,9 +159,17 @@ class Tabletop:
             linearDamping=0.1,
             angularDamping=0.2,
             restitution=0.0,
+            collisionMargin=self.config.margin_m,
             physicsClientId=client,
         )
         self._bodies[body] = model
+
+    def _collision_file(self, model: ObjectModel) -> Path:
+        if not model.parts:
+            return collision_file(model)
+        path = Path(self._scratch.name) / f"{len(self._bodies)}.obj"
+        write_parts(model, model.parts, path)
+        return path
 
     def _top(self) -> float:
         """Height [m] of the highest object."""
