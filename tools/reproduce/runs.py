@@ -14,6 +14,9 @@ from mapping.errors import ConfigError, DataError
 from reconstruction.atomic import temporary_beside
 from tools.options import write_json
 
+LARGE_FIGURE = 200_000
+"""A figure above this size [bytes] is written with a palette."""
+
 
 def cached_run(
     path: Path, settings: dict[str, Any], compute: Callable[[], dict[str, Any]], overwrite: bool = False
@@ -65,16 +68,19 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def save_figure(figure: Any, path: Path, dots_per_inch: int = 100) -> None:
-    """Write a matplotlib figure as PNG with few colours (small files), whole or not at all."""
+    """Write a matplotlib figure as PNG, whole or not at all; a large one gets a palette of 256 colours."""
     import io
 
     from PIL import Image
 
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=dots_per_inch, bbox_inches="tight")
+    picture = Image.open(buffer).convert("RGB")
+    if buffer.getbuffer().nbytes > LARGE_FIGURE:
+        picture = picture.quantize(256)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with temporary_beside(path) as partial:
-        Image.open(buffer).convert("RGB").quantize(256).save(partial, format="PNG", optimize=True)
+    with temporary_beside(path) as unfinished:
+        picture.save(unfinished, format="PNG", optimize=True)
 
 
 def check_choices(chosen: Sequence[str], valid: Sequence[str], what: str) -> None:
