@@ -25,12 +25,14 @@ class OcclusionPrior:
     """P(empty), P(object k) at hidden points of one frame."""
 
     def __init__(self, network: PriorNetwork) -> None:
-        self.network = network.eval().to(memory_format=torch.channels_last_3d)
+        self.network = network.eval()
 
     @classmethod
     def load(cls, path: Path = WEIGHTS_FILE) -> OcclusionPrior:
         """The prior from a weights file; raises DataError when it does not fit the network."""
-        return _load(path)
+        if not path.is_file():
+            raise DataError(f"{path}: no such weights file; `python -m tools.train_prior` makes one")
+        return _load(path, path.stat().st_mtime_ns)
 
     def distribution(
         self, visible: Sequence[np.ndarray], origin: np.ndarray, evidence: Evidence, points: np.ndarray
@@ -93,9 +95,7 @@ def lattice_coordinates() -> np.ndarray:
 
 
 @lru_cache(maxsize=2)
-def _load(path: Path) -> OcclusionPrior:
-    if not path.is_file():
-        raise DataError(f"{path}: no such weights file; `python -m tools.train_prior` makes one")
+def _load(path: Path, modified: int) -> OcclusionPrior:
     network = PriorNetwork()
     with np.load(path) as stored:
         state = {name: torch.from_numpy(stored[name].astype(np.float32)) for name in stored.files}
@@ -107,7 +107,7 @@ def _load(path: Path) -> OcclusionPrior:
 
 
 def save_weights(network: PriorNetwork, path: Path) -> None:
-    """Write the weights in half precision: under 1 MB."""
+    """Write the weights of a plain network in half precision: under 1 MB."""
     state = {
         name: value.detach().cpu().numpy().astype(np.float16) for name, value in network.state_dict().items()
     }

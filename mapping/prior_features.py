@@ -29,8 +29,8 @@ LEAST_HEIGHT = 0.02
 OWN, BACKGROUND, OTHER, UNKNOWN = 0, 1, 2, 3
 """What the ray through a point sees: the object itself, no object, another object, nothing measured."""
 
-LATTICE_CHANNELS = 17
-POINT_CHANNELS = 16
+LATTICE_CHANNELS = 19
+POINT_CHANNELS = 18
 
 
 class RayEvidence(NamedTuple):
@@ -145,6 +145,8 @@ def channels(local: np.ndarray, evidence: RayEvidence, scalars: np.ndarray) -> n
             np.log(side / 0.15) * ones,
             np.log(height / 0.1) * ones,
             np.clip(slope, 0, 3) * ones,
+            np.clip(behind / 0.003, -1, 1),
+            np.clip(z / 0.01, 0, 1),
         ]
     ).astype(np.float32)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import nn
 from torch.nn import functional as F
+from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from mapping.prior_features import LATTICE_CHANNELS, POINT_CHANNELS
 
@@ -21,21 +22,27 @@ class PriorNetwork(nn.Module):
     at the point, so that borders are sharper than the lattice.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, normalised: bool = False) -> None:
+        """normalised: with batch normalisation, for training; `plain` folds it into the weights."""
         super().__init__()
         fine, middle, coarse = WIDTHS
+
+        def conv(channels: int) -> nn.Module:
+            plain = nn.Conv3d(channels, channels, 3, padding=1, bias=not normalised)
+            return nn.Sequential(plain, nn.BatchNorm3d(channels)) if normalised else plain
+
         self.enter = nn.Conv3d(LATTICE_CHANNELS, fine, 2, stride=2)
-        self.fine_in = _conv(fine, fine)
+        self.fine_in = conv(fine)
         self.down = nn.Conv3d(fine, middle, 2, stride=2)
-        self.middle_in = _conv(middle, middle)
+        self.middle_in = conv(middle)
         self.down_again = nn.Conv3d(middle, coarse, 2, stride=2)
-        self.coarse_one = _conv(coarse, coarse)
-        self.coarse_two = _conv(coarse, coarse)
+        self.coarse_one = conv(coarse)
+        self.coarse_two = conv(coarse)
         self.up = nn.Conv3d(coarse, middle, 1)
-        self.middle_out = _conv(middle, middle)
+        self.middle_out = conv(middle)
         self.up_again = nn.Conv3d(middle, fine, 1)
-        self.fine_out = _conv(fine, fine)
-        self.fine_last = _conv(fine, fine)
+        self.fine_out = conv(fine)
+        self.fine_last = conv(fine)
         self.decoder = nn.Sequential(
             nn.Linear(fine + POINT_CHANNELS, HIDDEN),
             nn.ReLU(),
@@ -63,6 +70,11 @@ class PriorNetwork(nn.Module):
         near = near[:, :, :, 0, 0].transpose(1, 2)  # (B, Q, F)
         return self.decoder(torch.cat([near, channels], dim=-1))[..., 0]
 
-
-def _conv(inputs: int, outputs: int) -> nn.Conv3d:
-    return nn.Conv3d(inputs, outputs, 3, padding=1)
+    def plain(self) -> PriorNetwork:
+        """The same function without normalisation layers, ready for use."""
+        network = PriorNetwork()
+        for name, module in self.named_children():
+            if name != "decoder" and isinstance(module, nn.Sequential):
+                module = fuse_conv_bn_eval(*module.eval())
+            network.get_submodule(name).load_state_dict(module.state_dict())
+        return network.eval()

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import trimesh
+from numpy.typing import ArrayLike
 
 SECTIONS = 28
 """Corners of a round cross-section."""
 
 
-def box(size: Sequence[float], centre: Sequence[float] = (0.0, 0.0, 0.0)) -> trimesh.Trimesh:
+def box(size: ArrayLike, centre: ArrayLike = (0.0, 0.0, 0.0)) -> trimesh.Trimesh:
     """An axis-aligned box of full lengths `size` around `centre`."""
     mesh = trimesh.creation.box(np.asarray(size, float))
-    mesh.apply_translation(centre)
+    mesh.apply_translation(np.asarray(centre, float))
     return mesh
 
 
-def turned(profile: Sequence[Sequence[float]], flatten: float = 1.0) -> trimesh.Trimesh:
+def turned(profile: ArrayLike, flatten: float = 1.0) -> trimesh.Trimesh:
     """The solid swept by turning a profile of (radius, height) rows about z, from axis to axis.
 
     The profile runs upwards along the outside and, for hollow shapes, back down the inside.
@@ -78,9 +77,7 @@ def plate(outline: np.ndarray, thickness: float) -> trimesh.Trimesh:
     return _from_rings(np.concatenate([rings, np.broadcast_to(height, (2, len(outline), 1))], axis=2))
 
 
-def rounded(
-    half: Sequence[float], power: float, centre: Sequence[float] = (0.0, 0.0, 0.0)
-) -> trimesh.Trimesh:
+def rounded(half: ArrayLike, power: float, centre: ArrayLike = (0.0, 0.0, 0.0)) -> trimesh.Trimesh:
     """A superellipsoid of half lengths `half`: an ellipsoid for power 1, nearly a box for small powers."""
     polar = np.linspace(-np.pi / 2, np.pi / 2, 17)[:, None]
     angle = np.linspace(0, 2 * np.pi, SECTIONS, endpoint=False)[None]

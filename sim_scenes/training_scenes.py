@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -100,8 +101,8 @@ def inside(shape: TrainingShape, points: np.ndarray) -> np.ndarray:
         if len(rows) == 0:
             continue
         scene = o3d.t.geometry.RaycastingScene()
-        scene.add_triangles(part.vertices.astype(np.float32), part.faces.astype(np.uint32))
-        result[rows] |= scene.compute_occupancy(points[rows].astype(np.float32)).numpy() > 0.5
+        _add(scene, part)
+        result[rows] |= scene.compute_occupancy(_tensor(points[rows])).numpy() > 0.5
     return result
 
 
@@ -170,17 +171,31 @@ def _fall(shape: TrainingShape, others: Sequence[TrainingShape]) -> float:
         scene = o3d.t.geometry.RaycastingScene()
         for item in below:
             for part in item.parts:
-                scene.add_triangles(part.vertices.astype(np.float32), part.faces.astype(np.uint32))
+                _add(scene, part)
         rays = np.zeros((len(points), 6), np.float32)
         rays[:, :3] = points
         rays[:, 5] = direction
-        return float(scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy().min())
+        return float(scene.cast_rays(_tensor(rays))["t_hit"].numpy().min())
 
     own = np.concatenate([part.vertices for part in shape.parts])
     own[:, 2] += ABOVE
     theirs = np.concatenate([part.vertices for other in others for part in other.parts])
     free = min(gap(others, own, -1.0), gap([shape], theirs - [0, 0, ABOVE], 1.0), ABOVE)
     return ABOVE - free
+
+
+def _tensor(values: np.ndarray) -> Any:
+    import open3d as o3d
+
+    return o3d.core.Tensor.from_numpy(np.ascontiguousarray(values, np.float32))
+
+
+def _add(scene: Any, mesh: trimesh.Trimesh) -> None:
+    import open3d as o3d
+
+    scene.add_triangles(
+        _tensor(mesh.vertices), o3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.faces, np.uint32))
+    )
 
 
 def _centre(shape: TrainingShape) -> np.ndarray:
@@ -220,15 +235,15 @@ def _render(shapes: Sequence[TrainingShape], camera: Camera) -> tuple[np.ndarray
     table = trimesh.creation.box([3.0, 3.0, 0.02])
     table.apply_translation([0, 0, -0.01])
     owner = [0]
-    scene.add_triangles(table.vertices.astype(np.float32), table.faces.astype(np.uint32))
+    _add(scene, table)
     for label, shape in enumerate(shapes, 1):
         for part in shape.parts:
-            scene.add_triangles(part.vertices.astype(np.float32), part.faces.astype(np.uint32))
+            _add(scene, part)
             owner.append(label)
     T = camera.T_world_camera.astype(np.float32)
     directions = camera.rays @ T[:3, :3].T
     origins = np.broadcast_to(T[:3, 3], directions.shape)
-    hits = scene.cast_rays(o3d.core.Tensor(np.concatenate([origins, directions], axis=-1)))
+    hits = scene.cast_rays(_tensor(np.concatenate([origins, directions], axis=-1)))
     depth = hits["t_hit"].numpy()
     seen = np.isfinite(depth)
     labels = np.array(owner, np.uint16)[np.where(seen, hits["geometry_ids"].numpy().astype(np.int64), 0)]

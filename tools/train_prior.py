@@ -7,9 +7,9 @@ them: command, data recipe, versions and held-out scores. No scan of a real obje
 from __future__ import annotations
 
 import json
-import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 
@@ -17,8 +17,9 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
-from mapping.occlusion_prior import WEIGHTS_FILE, save_weights
+from mapping.occlusion_prior import WEIGHTS_FILE, OcclusionPrior, save_weights
 from mapping.prior_network import PriorNetwork
+from sim_scenes.random_urdfs import draw_figure, figures_folder
 from sim_scenes.training_shapes import HELD_OUT_FAMILIES, TRAINING_FAMILIES, draw_shape
 from tools.prior_data import Examples, make_examples
 
@@ -42,10 +43,12 @@ class TrainConfig:
     """Passes over the training objects."""
     batch: int = 16
     """Objects a step."""
-    rate: float = 3e-3
+    rate: float = 5e-3
     """Largest learning rate; it rises over the first twentieth of the steps and falls as a cosine."""
     decay: float = 1e-3
     """Weight decay."""
+    cache: Path | None = None
+    """Folder to keep the made examples in, and to take them from when they are there."""
 
 
 def main() -> None:
@@ -58,26 +61,34 @@ def main() -> None:
 def train(config: TrainConfig) -> dict:
     """Make data, train, test, write. Returns what the JSON file holds."""
     start = perf_counter()
-    known = lambda rng: draw_shape(rng, TRAINING_FAMILIES)  # noqa: E731
-    strange = lambda rng: draw_shape(rng, HELD_OUT_FAMILIES)  # noqa: E731
-    training = make_examples(config.scenes, known, config.seed, "training scenes")
+    known = partial(draw_shape, families=TRAINING_FAMILIES)
+    strange = partial(draw_shape, families=HELD_OUT_FAMILIES)
+
+    def examples(name: str, draw: Callable, count: int, seed: int) -> Examples:
+        cache = config.cache and config.cache / f"{name}_{count}_{seed}.npz"
+        return make_examples(count, draw, seed, f"{name} scenes", cache)
+
+    training = examples("train", known, config.scenes, config.seed)
     tests = {
-        "known_families": make_examples(config.test_scenes, known, config.seed + 10_000, "test scenes"),
-        "held_out_families": make_examples(config.test_scenes, strange, config.seed + 20_000, "test scenes"),
+        "known_families": examples("known", known, config.test_scenes, config.seed + 10_000),
+        "held_out_families": examples("strange", strange, config.test_scenes, config.seed + 20_000),
     }
+    if figures_folder() is not None:
+        tests["random_urdfs"] = examples("figures", draw_figure, config.test_scenes, config.seed + 30_000)
     made = perf_counter()
     torch.manual_seed(config.seed)
-    network = PriorNetwork().to(memory_format=torch.channels_last_3d)
+    network = PriorNetwork(normalised=True)
     fit(network, training, config, tests["known_families"])
-    save_weights(network, config.out)
+    save_weights(network.plain(), config.out)
+    written = OcclusionPrior.load(config.out).network
     record = {
-        "command": "python -m tools.train_prior " + " ".join(sys.argv[1:]),
-        "config": {**asdict(config), "out": config.out.name},
+        "command": "python -m tools.train_prior " + _options(config),
+        "config": {key: value for key, value in asdict(config).items() if key not in ("out", "cache")},
         "training_objects": len(training),
         "training_families": list(TRAINING_FAMILIES),
         "held_out_families": list(HELD_OUT_FAMILIES),
         "data": "procedural shapes (sim_scenes/training_shapes.py) in random scenes; no scans",
-        "scores": {name: score(network, examples) for name, examples in tests.items()},
+        "scores": {name: score(written, examples) for name, examples in tests.items()},
         "data_s": round(made - start),
         "train_s": round(perf_counter() - made),
         "threads": torch.get_num_threads(),
@@ -169,6 +180,12 @@ def _mirrored(
     local[chosen, :, 1] *= -1
     points[chosen, :, Y_CHANNEL] *= -1
     return [torch.from_numpy(part) for part in (lattices, local, points, truth)]
+
+
+def _options(config: TrainConfig) -> str:
+    """The options that make the same weights again."""
+    wanted = ("seed", "scenes", "test_scenes", "epochs", "batch", "rate", "decay")
+    return " ".join(f"--{name.replace('_', '-')} {getattr(config, name):g}" for name in wanted)
 
 
 def _batches(count: int, size: int, rng: np.random.Generator) -> Iterator[np.ndarray]:
