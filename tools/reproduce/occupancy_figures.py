@@ -19,37 +19,37 @@ def draw_maps(out: Path, log: str, landscape: Landscape, methods: tuple[str, ...
         with np.load(out / "runs" / f"{log}-{method}-{seed}.npz") as stored:
             maps[method] = stored["probabilities"].astype(np.float32)
     occupancy = {TITLES[method]: share_occupied(drawn) for method, drawn in maps.items()}
-    _row(out / f"{log}_methods.png", landscape, occupancy, "jet", "p(occupied) / (p(occupied) + p(free))")
+    _panels(out / f"{log}_methods.png", landscape, occupancy, "jet", "p(occupied | not uncertain)")
     if "contramap" in maps:
         columns = ("free", "occupied", "uncertain")
         classes = {f"p({name})": maps["contramap"][..., i] for i, name in enumerate(columns)}
-        _row(out / f"{log}_classes.png", landscape, classes, "viridis", "probability")
+        _panels(out / f"{log}_classes.png", landscape, classes, "viridis", "probability")
 
 
-def _row(path: Path, landscape: Landscape, fields: dict[str, np.ndarray], colours: str, label: str) -> None:
+def _panels(
+    path: Path, landscape: Landscape, fields: dict[str, np.ndarray], colours: str, label: str
+) -> None:
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     (left, bottom), (right, top) = landscape.low, landscape.high
-    upright = (top - bottom) > (right - left)
-    fields = dict(fields)
-    width = 2.6 if upright else 4.0
-    figure, axes = plt.subplots(
-        1,
-        len(fields),
-        figsize=(width * len(fields) + 0.8, width * (top - bottom) / (right - left) + 0.5),
-        layout="constrained",
-        squeeze=False,
-    )
-    for axis, (title, field) in zip(axes[0], fields.items()):
+    shape = (top - bottom) / (right - left)
+    stacked = shape < 0.6  # wide maps go one above the other
+    rows, columns = (len(fields), 1) if stacked else (1, len(fields))
+    width = 8.0 if stacked else 2.6 if shape > 1 else 4.0
+    size = (width * columns + 0.8, (width * shape + 0.5) * rows)
+    figure, axes = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
+    for axis, (title, field) in zip(axes.flat, fields.items()):
         image = axis.imshow(
             field.T, origin="lower", extent=(left, right, bottom, top), vmin=0, vmax=1, cmap=colours
         )
         axis.set_title(title, fontsize=10)
+    for axis in axes[-1]:
         axis.set_xlabel("x [m]")
-    axes[0, 0].set_ylabel("y [m]")
-    figure.colorbar(image, ax=axes[0], label=label, fraction=0.03, pad=0.01)
+    for axis in axes[:, 0]:
+        axis.set_ylabel("y [m]")
+    figure.colorbar(image, ax=axes, label=label, fraction=0.03, pad=0.01)
     save_figure(figure, path)
     plt.close(figure)
