@@ -30,6 +30,6 @@ def draw_figure(rng: np.random.Generator) -> TrainingShape:
     mesh = trimesh.Trimesh()
     while len(mesh.faces) == 0:  # a few of the files hold nothing
         name = f"{rng.integers(1000):03d}"
-        mesh = trimesh.load(folder / name / f"{name}.obj", force="mesh", process=True)
+        mesh = trimesh.load_mesh(folder / name / f"{name}.obj", process=True)
     figure = trimesh.Trimesh(mesh.vertices * SCALE, mesh.faces, process=False)
     return TrainingShape("random_urdf", (figure,))
