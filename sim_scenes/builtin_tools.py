@@ -71,7 +71,7 @@ def wrench(rng: np.random.Generator) -> Shape:
         return np.maximum(shape, -jaw)
 
     low, high = [-head, -head, 0], [length + head, head, 2 * half]
-    mesh = solid.mesh_of(distance, low, high, 0.001)
+    mesh = solid.mesh_of(distance, low, high, 0.0012)
     eye = [(0.4 * head, 0), (0.75 * head, 0), (0.75 * head, 2 * half), (0.4 * head, 2 * half)]
     parts = [part + np.array([length, 0, 0]) for part in solid_parts.turned([eye])]
     caps = [(0.0, 0.2), (np.pi / 2, gap), (-np.pi / 2, gap)]  # behind the jaw's slot and on its two sides
@@ -107,7 +107,7 @@ def spoon(rng: np.random.Generator) -> Shape:
         return np.maximum(shape, -hollow)
 
     low, high = [-bowl, -width, 0], [length + 2 * bar, width, deep + rise + 2 * bar]
-    mesh = solid.mesh_of(distance, low, high, 0.001)
+    mesh = solid.mesh_of(distance, low, high, 0.0012)
     colors = plain(mesh, random_color(rng, rng.random() < 0.5))
     colors[mesh.vertices[:, 0] > rng.uniform(1.2, 3.0) * bowl] = random_color(rng)
     angles = np.linspace(0.1, np.pi / 2, 5)
@@ -137,7 +137,7 @@ def spatula(rng: np.random.Generator) -> Shape:
         return np.minimum(shape, solid.tube(points, path, radii))
 
     low, high = [-blade, -width, min(0, half + rise - bar)], [blade + length + bar, width, half + rise + bar]
-    mesh = solid.mesh_of(distance, low, high, 0.001, 14_000)
+    mesh = solid.mesh_of(distance, low, high, 0.0014, 16_000)
     colors = plain(mesh, random_color(rng, rng.random() < 0.3) * 0.8)
     colors[mesh.vertices[:, 0] > blade + 0.4 * length] = random_color(rng)
     flat = solid_parts.block([0, 0, half], [blade, width, half], 0.001)

@@ -109,7 +109,7 @@ def mug(rng: np.random.Generator) -> Shape:
         return np.maximum(shape, -solid.cylinder(points, radius - wall, wall, height + 0.05))
 
     mesh = solid.mesh_of(
-        distance, [-radius, -radius, 0], [radius + reach + bar, radius, height], faces=16_000
+        distance, [-radius, -radius, 0], [radius + reach + bar, radius, height], 0.0018, 20_000
     )
     colors = plain(mesh, random_color(rng))
     inside = np.hypot(mesh.vertices[:, 0], mesh.vertices[:, 1]) < radius - 0.6 * wall

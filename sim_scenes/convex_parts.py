@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from scipy.spatial import QhullError
+from scipy.spatial import ConvexHull, QhullError
 
 from sim_scenes.cache import cache_dir
 from sim_scenes.object_model import ObjectModel
@@ -153,13 +153,16 @@ def _as_obj(parts: list[np.ndarray]) -> str:
     offset = 1
     for index, points in enumerate(parts):
         try:
-            hull = trimesh.convex.convex_hull(points)
+            hull = ConvexHull(points)
         except QhullError:  # flat after it was pulled inside: holds nothing
             continue
         lines.append(f"o part_{index}")
-        lines += [f"v {x:.7f} {y:.7f} {z:.7f}" for x, y, z in hull.vertices]
-        lines += [f"f {a} {b} {c}" for a, b, c in np.asarray(hull.faces) + offset]
-        offset += len(hull.vertices)
+        corners = points[hull.vertices]
+        number = np.empty(len(points), int)
+        number[hull.vertices] = offset + np.arange(len(corners))
+        lines += [f"v {x:.7f} {y:.7f} {z:.7f}" for x, y, z in corners]
+        lines += [f"f {a} {b} {c}" for a, b, c in number[hull.simplices]]
+        offset += len(corners)
     return "\n".join(lines) + "\n"
 
 
