@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
+
+if TYPE_CHECKING:
+    from tools.evaluation.job import Job
 
 DEFAULT_METHODS = ("contramap", "contramap-paper", "hilbert", "tsdf")
 """The fast methods."""
@@ -74,7 +77,7 @@ def find_scenes(scenes: Path, limit: int | None) -> list[Path]:
     return found
 
 
-def check_same_scenes(jobs) -> None:
+def check_same_scenes(jobs: list[Job]) -> None:
     """Raise ConfigError when results below the output folder came from other scenes of the same names."""
     from mapping.errors import ConfigError
 
@@ -87,14 +90,14 @@ def check_same_scenes(jobs) -> None:
                 )
 
 
-def read_json(path: Path) -> dict:
+def read_json(path: Path) -> dict[str, Any]:
     """A result file; DataError when it is broken."""
     from tools.evaluation.summary import read_results
 
     return read_results([path])[0]
 
 
-def run_jobs(jobs, engine: str, workers: int, ray_address: str | None) -> list[dict[str, str]]:
+def run_jobs(jobs: list[Job], engine: str, workers: int, ray_address: str | None) -> list[dict[str, str]]:
     """Do what is missing of the jobs, with a progress bar; returns what failed."""
     from tqdm import tqdm
 
@@ -106,7 +109,7 @@ def run_jobs(jobs, engine: str, workers: int, ray_address: str | None) -> list[d
     failures: list[dict[str, str]] = []
     with tqdm(total=len(todo), desc="scenes", unit="scene", smoothing=0.1) as bar:
 
-        def finished(job, failed) -> None:
+        def finished(job: Job, failed: list[dict[str, str]]) -> None:
             failures.extend(failed)
             for failure in failed:
                 bar.write("failed: {scene} seed {seed} {method}: {error}".format(**failure))
@@ -120,7 +123,7 @@ def run_jobs(jobs, engine: str, workers: int, ray_address: str | None) -> list[d
     return failures
 
 
-def finish(jobs, failures: list[dict[str, str]], gallery: int, json_file: Path | None) -> None:
+def finish(jobs: list[Job], failures: list[dict[str, str]], gallery: int, json_file: Path | None) -> None:
     """Write results.jsonl, summary.json, table.md, figures and report.html from all kept results."""
     from mapping.errors import DataError
     from reconstruction.atomic import write_atomically
@@ -149,7 +152,7 @@ def finish(jobs, failures: list[dict[str, str]], gallery: int, json_file: Path |
     print(f"\n{out / 'report.html'}")
 
 
-def make_gallery(jobs, count: int) -> Path | None:
+def make_gallery(jobs: list[Job], count: int) -> Path | None:
     """Draw the gallery of the first scenes: ContraMap beside V-PRISM where both are evaluated."""
     from tqdm import tqdm
 
@@ -158,7 +161,9 @@ def make_gallery(jobs, count: int) -> Path | None:
     wanted = ("contramap", "vprism")
     names = tuple(name for name in wanted if name in jobs[0].methods) or jobs[0].methods[:1]
     first = jobs[0].seed
-    chosen = [job for job in jobs if job.seed == first][:count]
+    chosen = [
+        job for job in jobs if job.seed == first and all(job.result_file(name).is_file() for name in names)
+    ][:count]
     if not chosen:
         return None
     rows = {}

@@ -31,7 +31,7 @@ def worker_environment(threads: int) -> dict[str, str]:
 def run_local(jobs: Sequence[Job], workers: int, finished: Finished) -> None:
     """Run jobs in `workers` processes of their own, so that a crash costs one job and not the evaluation."""
     waiting = list(jobs)
-    with _environment(worker_environment(jobs[0].threads if jobs else 1)):
+    with process_environment(worker_environment(jobs[0].threads if jobs else 1)):
         while waiting:
             waiting = _pool(waiting, workers, finished)
 
@@ -109,7 +109,7 @@ def run_ray(jobs: Sequence[Job], workers: int, finished: Finished, address: str 
 
 
 @contextmanager
-def _environment(values: dict[str, str]) -> Iterator[None]:
+def process_environment(values: dict[str, str]) -> Iterator[None]:
     """Environment variables for the processes started inside."""
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)

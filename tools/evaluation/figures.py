@@ -60,7 +60,12 @@ def _save(draw, path: Path, results: dict[str, list[dict[str, Any]]], arguments:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    style = {"font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True}
+    style: dict[Any, Any] = {
+        "font.size": 10,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.grid": True,
+    }
     with plt.rc_context({**style, "grid.color": "#e6e8eb", "axes.axisbelow": True}):
         figure, axes = plt.subplots(figsize=SIZE, dpi=DPI, layout="constrained")
         draw(axes, results, **arguments)
@@ -144,6 +149,8 @@ def _times(axes, results: dict[str, list[dict[str, Any]]]) -> None:
         spread = np.array([np.percentile(seconds[count], [25, 75]) for count in counts])
         axes.fill_between(counts, spread[:, 0], spread[:, 1], color=colour, alpha=0.15, linewidth=0)
     axes.set_yscale("log")
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter("")
     axes.set_xlabel("objects")
     axes.set_ylabel("fit and mesh at 15 mm [s]")
     axes.xaxis.get_major_locator().set_params(integer=True)

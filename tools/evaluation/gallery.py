@@ -55,11 +55,11 @@ def write_gallery(rows: dict[str, dict[str, np.ndarray]], path: Path) -> None:
         gridspec_kw={"wspace": 0.02, "hspace": 0.02},
         layout="constrained",
     )
-    for row, pictures in zip(axes, rows.values()):
+    for number, (row, pictures) in enumerate(zip(axes, rows.values())):
         for cell, title in zip(row, titles):
             cell.imshow(pictures[title])
             cell.set_axis_off()
-            if row is axes[0]:
+            if number == 0:
                 cell.set_title(title, fontsize=9)
     figure.savefig(path)
     plt.close(figure)

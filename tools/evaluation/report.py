@@ -12,18 +12,19 @@ from tools.evaluation.table import card_rows, paired_rows, shape_rows, speed_row
 STYLE = """
 :root { color-scheme: light; }
 body { font: 15px/1.5 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; color: #1b1f24; background: #fff;
-  max-width: 1240px; margin: 0 auto; padding: 28px 24px 80px; }
+  max-width: 1480px; margin: 0 auto; padding: 28px 24px 80px; }
 h1 { font-size: 26px; margin: 0 0 4px; } h2 { font-size: 19px; margin: 40px 0 8px; }
 p { max-width: 78ch; margin: 6px 0 12px; color: #3c434c; }
 .scroll { overflow-x: auto; }
-table { border-collapse: collapse; font-size: 13px; white-space: nowrap; font-variant-numeric: tabular-nums; }
-th, td { padding: 5px 12px 5px 0; text-align: right; border-bottom: 1px solid #e6e8eb; }
+table { border-collapse: collapse; font-size: 12.5px; white-space: nowrap;
+  font-variant-numeric: tabular-nums; }
+th, td { padding: 5px 10px 5px 0; text-align: right; border-bottom: 1px solid #e6e8eb; }
 th:first-child, td:first-child { text-align: left; white-space: pre; }
 th { cursor: pointer; border-bottom: 2px solid #1b1f24; user-select: none; vertical-align: bottom; }
 th:hover { color: #1f6fd0; } th[data-order]::after { content: " \\25B2"; font-size: 9px; }
 th[data-order="-1"]::after { content: " \\25BC"; }
 tr.null td { color: #6a727c; }
-.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(400px, 1fr)); gap: 20px 28px; }
+.figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(420px, 1fr)); gap: 20px 28px; }
 figure { margin: 0; } figcaption { font-weight: 600; margin-bottom: 4px; } img { width: 100%; height: auto; }
 """
 SCRIPT = """

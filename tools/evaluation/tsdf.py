@@ -64,18 +64,19 @@ class DenseTsdf:
         import open3d
 
         core = open3d.core
+        shape = core.SizeVector([1])
         grid = open3d.t.geometry.VoxelBlockGrid(
-            ("tsdf", "weight"), (core.float32, core.float32), ((1), (1)), VOXEL, BLOCK, 1024
+            ("tsdf", "weight"), (core.float32, core.float32), (shape, shape), VOXEL, BLOCK, 1024
         )
         side = VOXEL * BLOCK
         first = np.floor(low / side).astype(np.int32)
         self.shape = np.ceil(high / side).astype(np.int32) - first
         blocks = np.stack(np.meshgrid(*(np.arange(n) for n in self.shape), indexing="ij"), -1).reshape(-1, 3)
         grid.integrate(
-            core.Tensor((blocks + first).astype(np.int32)),
+            core.Tensor.from_numpy(np.ascontiguousarray(blocks + first, np.int32)),
             open3d.t.geometry.Image(np.ascontiguousarray(depth, np.float32)),
-            core.Tensor(observation.camera.K),
-            core.Tensor(invert_rigid(observation.T_table_camera)),
+            core.Tensor.from_numpy(observation.camera.K.copy()),
+            core.Tensor.from_numpy(invert_rigid(observation.T_table_camera)),
             1.0,
             FAR,
             TRUNCATION,
