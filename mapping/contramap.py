@@ -23,7 +23,7 @@ from mapping.kernels import (
     sparse_features,
 )
 from mapping.lattice import LatticeEvaluator
-from mapping.preconditioner import DiagonalFactor, SparseFactor, sparse_factor
+from mapping.preconditioner import SparseFactor, sparse_factor
 from mapping.softmax import FitConfig, FitReport, fit_softmax
 
 REACHED = 0.05
@@ -43,7 +43,7 @@ class MapConfig:
     far_uncertainty: float | None = 0.95
     """p(uncertain) out of reach of every hinge point; None gives every class the same share there."""
     empty_log_odds: float | None = None
-    """Log odds of class 0 against the other known classes together where the kernels vanish; None: all equal."""
+    """Log odds of class 0 against the other known classes where the kernels vanish; None: all equal."""
     fit: FitConfig = field(default_factory=FitConfig)
     """How the loss is minimised."""
     device: str = "auto"
@@ -189,15 +189,10 @@ class ContraMap:
             offset[-1] = float(np.log(share / (1 - share) * others))
         return offset
 
-    def _coordinates(self, features: SparseFeatures, weights: torch.Tensor) -> SparseFactor | DiagonalFactor:
+    def _coordinates(self, features: SparseFeatures, weights: torch.Tensor) -> SparseFactor:
         # p (1 - p) <= 1/4 for every class, so 1/4 sum w phi phi^T + l2 bounds each class's curvature.
-        if len(self.hinges) > self.config.fit.gram_limit:
-            curvature = 0.25 * features.squared_column_sums(weights) + self.config.l2
-            return DiagonalFactor(curvature.rsqrt()[:, None])
-        bound = 0.25 * features.gram(weights)
-        diagonal = bound.diagonal()
-        diagonal += self.config.l2 + 1e-5 * diagonal.mean()
-        return sparse_factor(bound, self.hinges)
+        curvature = 0.25 * features.squared_column_sums(weights) + self.config.l2
+        return sparse_factor(curvature, self.hinges, self.gamma)
 
     def _tensors(self, *arrays: np.ndarray) -> tuple[torch.Tensor, ...]:
         return tuple(torch.from_numpy(a).to(self.device) for a in arrays)

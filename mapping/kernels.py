@@ -12,14 +12,10 @@ import numpy as np
 import torch
 from scipy import sparse
 
-FIT_CUTOFF = 1e-3
-"""Features below this are dropped while fitting: 20-50 of thousands remain a row."""
+FIT_CUTOFF = 3e-3
+"""Features below this are dropped while fitting: 20-45 of thousands remain a row."""
 PREDICT_CUTOFF = 1e-7
 """Features below this are dropped while predicting: below float32 rounding of the logits."""
-GRAM_ROWS_PER_HINGE, GRAM_LEAST_ROWS = 2, 4000
-"""The Gram matrix is estimated from at least this many rows."""
-GRAM_CUTOFF = 0.02
-"""Features below this are left out of the Gram matrix."""
 
 
 @dataclass(frozen=True)
@@ -37,24 +33,6 @@ class SparseFeatures:
     transposed_offsets: torch.Tensor  # (H,)
     transposed_columns: torch.Tensor  # (nnz,) row index
     transposed_values: torch.Tensor  # (nnz,)
-
-    def gram(self, row_weights: torch.Tensor) -> torch.Tensor:
-        """Estimate of sum_i w_i phi_i phi_i^T, (H, H); row_weights: (N,)."""
-        # It only guides the fit's steps: a part of many rows, and the larger features, will do.
-        count = len(self.transposed_offsets)
-        stride = max(1, len(self.order) // max(GRAM_ROWS_PER_HINGE * count, GRAM_LEAST_ROWS))
-        rows = self._csr()[::stride]
-        rows.data[rows.data < GRAM_CUTOFF] = 0
-        rows.eliminate_zeros()
-        rows.data *= np.repeat(
-            np.sqrt(stride * row_weights.cpu().numpy()[::stride]), np.diff(rows.indptr)
-        ).astype(np.float32)
-        return torch.from_numpy((rows.T.tocsr() @ rows).toarray()).to(self.values.device)
-
-    def _csr(self) -> sparse.csr_matrix:
-        offsets = np.append(self.offsets.cpu().numpy(), len(self.values))
-        shape = (len(self.order), len(self.transposed_offsets))
-        return sparse.csr_matrix((self.values.cpu().numpy(), self.columns.cpu().numpy(), offsets), shape)
 
     def times(self, W: torch.Tensor) -> torch.Tensor:
         """Phi W: (H, C) -> (N, C)."""
@@ -98,7 +76,7 @@ def blocks(
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Split points into compact groups: yields (indices into X, indices of the hinges in reach)."""
     radius = reach(gamma, cutoff).astype(np.float32)
-    size = float(radius.max())
+    size = 1.5 * float(radius.max())
     cell = np.floor((X - X.min(0)) / size).astype(np.int64)
     key = np.ravel_multi_index(tuple(cell.T), tuple(cell.max(0) + 1))
     order = np.argsort(key, kind="stable")

@@ -62,7 +62,7 @@ class LatticeEvaluator:
 class _HingeLattice:
     """Hinge points of one width on a lattice of their own: contracted axis by axis, 50 times less arithmetic.
 
-    places: coordinates along each axis, sorted; weights: (C, m_1, .., m_d), zero where there is no hinge point.
+    places: coordinates along each axis, sorted; weights: (C, m_1, .., m_d), zero where no hinge point is.
     """
 
     places: list[np.ndarray]

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import torch
 
 from mapping.kernels import SparseFeatures
-from mapping.preconditioner import DiagonalFactor, SparseFactor
+from mapping.preconditioner import SparseFactor
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,6 @@ class FitConfig:
     """Stop when the mean loss [nats] fell by less than this a step, on average over the last 3 steps."""
     memory: int = 8
     """Pairs of steps that L-BFGS remembers."""
-    gram_limit: int = 12000
-    """Up to this many hinge points steps are preconditioned by their Gram matrix, above by its diagonal."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +40,7 @@ def fit_softmax(
     targets: torch.Tensor,
     sample_weights: torch.Tensor,
     offset: torch.Tensor,
-    coordinates: SparseFactor | DiagonalFactor,
+    coordinates: SparseFactor,
     l2: float,
     config: FitConfig,
 ) -> tuple[torch.Tensor, FitReport]:

@@ -47,7 +47,8 @@ def preset(name: str, device: str = "auto", prior: str | None = None) -> Pipelin
         if prior not in PRIORS:
             raise ConfigError(f"unknown prior {prior!r}; valid: {', '.join(PRIORS)}")
         if isinstance(config.samples, TabletopSamples):
-            config = replace(config, samples=replace(config.samples, prior=prior))
+            samples = replace(config.samples, prior="learned" if prior == "learned" else "none")
+            config = replace(config, samples=samples)
     return replace(config, map=replace(config.map, device=device))
 
 

@@ -70,7 +70,7 @@ def _surface_points(observation: Observation) -> np.ndarray:
 def _noise_near(
     centres: np.ndarray, radius: float, count: int, above_plane: bool, rng: np.random.Generator
 ) -> np.ndarray:
-    """`count` points evenly in the union of balls around the centres, above the support plane if there is one."""
+    """`count` points evenly in balls around the centres, above the support plane if there is one."""
     kept: list[np.ndarray] = []
     low, high = centres.min(0) - radius, centres.max(0) + radius
     if above_plane:

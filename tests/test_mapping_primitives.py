@@ -83,22 +83,39 @@ def test_within_agrees_with_distances():
     np.testing.assert_array_equal(within(points, centres, 0.4), expected)
 
 
+def even_gram(places: np.ndarray, gamma: np.ndarray) -> np.ndarray:
+    """Correlations of Gaussian features under samples of even density, by brute force over a fine lattice."""
+    axis = np.arange(-0.3, 0.3, 0.01)
+    samples = np.stack(np.meshgrid(*[axis] * places.shape[1], indexing="ij"), -1).reshape(-1, places.shape[1])
+    phi = np.exp(-gamma * ((samples[:, None] - places[None]) ** 2).sum(2))
+    gram = phi.T @ phi
+    scale = 1 / np.sqrt(np.diag(gram))
+    return scale[:, None] * gram * scale
+
+
 def test_the_factor_is_exact_when_every_row_couples_to_all_earlier_ones():
     rng = np.random.default_rng(0)
     count = NEIGHBOURS  # each row has at most this many earlier ones
-    places = rng.uniform(0, 1, (count, 3))
-    gram = np.exp(-20 * ((places[:, None] - places[None]) ** 2).sum(2)) + 0.01 * np.eye(count)
-    factor = sparse_factor(torch.from_numpy(gram.astype(np.float32)), places)
+    places = rng.uniform(-0.1, 0.1, (count, 2)).astype(np.float32)
+    gamma = rng.uniform(500, 4000, count).astype(np.float32)
+    diagonal = rng.uniform(1, 3, count).astype(np.float32)
+    gram = np.sqrt(np.outer(diagonal, diagonal)) * even_gram(places, gamma)
+    factor = sparse_factor(torch.from_numpy(diagonal), places, gamma)
     G = factor.pull(torch.eye(count)).numpy()
-    np.testing.assert_allclose(G @ gram @ G.T, np.eye(count), atol=2e-3)
+    whitened = G @ gram @ G.T
+    # The ridge keeps eigenvalues a little below 1; without whitening they spread over orders of magnitude.
+    assert np.linalg.eigvalsh(gram).min() < 1e-3
+    eigenvalues = np.linalg.eigvalsh(whitened)
+    assert 0.2 < np.median(eigenvalues) <= eigenvalues.max() < 1.05
     np.testing.assert_allclose(factor.push(torch.eye(count)).numpy(), G.T, atol=1e-6)
 
 
 def test_the_factor_improves_the_condition_number():
-    axis = np.arange(0, 0.5, 0.05)
-    places = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
+    axis = np.arange(-0.1, 0.11, 0.05)
+    places = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3).astype(np.float32)
+    gamma = np.full(len(places), 500, np.float32)
     squared = ((places[:, None] - places[None]) ** 2).sum(2)
-    gram = np.exp(-500 * squared) + 1e-3 * np.eye(len(places))
-    factor = sparse_factor(torch.from_numpy(gram.astype(np.float32)), places)
+    gram = np.exp(-250 * squared) + 1e-3 * np.eye(len(places))
+    factor = sparse_factor(torch.ones(len(places)), places, gamma)
     G = factor.pull(torch.eye(len(places))).numpy().astype(float)
     assert np.linalg.cond(G @ gram @ G.T) < 0.1 * np.linalg.cond(gram)

@@ -10,7 +10,9 @@ from typing import Any
 from mapping.errors import ContraMapError
 from tools.benchmark import latency
 from tools.demo import demo
+from tools.evaluate import evaluate
 from tools.map_frame import map_frame
+from tools.reproduce.commands import hinges, occupancy, toy
 from tools.simulate import fetch_ycb, scenes
 from tools.view import view
 
@@ -29,15 +31,25 @@ def benchmark() -> None:
     """Time the pipeline: `contramap benchmark latency`."""
 
 
+def reproduce() -> None:
+    """Repeat the paper's experiments: `contramap reproduce toy | occupancy | hinges`."""
+
+
 COMMANDS: dict[str, Command] = {
     "demo": demo,
     "map": map_frame,
     "view": view,
     "scenes": scenes,
     "fetch": fetch,
+    "evaluate": evaluate,
     "benchmark": benchmark,
+    "reproduce": reproduce,
 }
-GROUPS: dict[str, dict[str, Command]] = {"fetch": {"ycb": fetch_ycb}, "benchmark": {"latency": latency}}
+GROUPS: dict[str, dict[str, Command]] = {
+    "fetch": {"ycb": fetch_ycb},
+    "benchmark": {"latency": latency},
+    "reproduce": {"toy": toy, "occupancy": occupancy, "hinges": hinges},
+}
 DESCRIPTION = "RGB-D frames to metric object meshes with uncertainty."
 
 

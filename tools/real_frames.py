@@ -98,6 +98,7 @@ def _single_object(folder: Path, name: str, entry: dict[str, Any]) -> RealFrame:
         1e-4,
         names={1: title, 255: title},
     )
+    assert frame.labels is not None
     (label,) = set(np.unique(frame.labels).tolist()) - {0}
     poses = {label: (title, np.array(entry["T_cam_obj"]))} if "T_cam_obj" in entry else {}
     return RealFrame(f"{GRASPNET6}/{name}", frame, poses)
@@ -121,8 +122,9 @@ def _clutter(folder: Path, name: str) -> RealFrame:
 
 
 def _unlabelled(folder: Path) -> RealFrame:
-    from perception.frame_io import load_images
     from scipy.io import loadmat
+
+    from perception.frame_io import load_images
 
     meta = loadmat(str(folder / "meta.mat"))
     scale = 1 / float(np.squeeze(meta["factor_depth"]))
