@@ -126,7 +126,7 @@ def measure(point: Point, seed: int) -> dict[str, float]:
     X, y, hinges, gamma = problem(point.hinges, point.objects, seed)
     queries = np.random.default_rng(seed + 1).uniform(0, BOX, (QUERIES, 3)).astype(np.float32)
     rng = np.random.default_rng(seed)
-    before = _peak_mb()
+    before = _resident_mb()
     start = perf_counter()
     model: ContraMap | VPrism
     if point.method == "vprism":
@@ -143,7 +143,7 @@ def measure(point: Point, seed: int) -> dict[str, float]:
         "hinges": len(hinges),
         "fit_s": fitted - start,
         "query_s": done - fitted,
-        "memory_mb": _peak_mb() - before,
+        "memory_mb": max(_peak_mb() - before, 0.0),
     }
 
 
@@ -166,6 +166,11 @@ def _measured(point: Point, seed: int, repeat: int) -> dict[str, Any]:
 
 def _peak_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def _resident_mb() -> float:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 2**20
 
 
 def _available_bytes() -> int:
