@@ -59,11 +59,13 @@ def _bag(
 
 def dense_features(X: torch.Tensor, hinges: torch.Tensor, gamma: torch.Tensor) -> torch.Tensor:
     """exp(-gamma_h ||x - h||^2) for X (N, d), hinges (H, d), gamma (H,) -> (N, H)."""
-    # Differences rather than the expanded square: exact for points far from the origin.
-    squared = (X[:, None, 0] - hinges[None, :, 0]).square_()
-    for axis in range(1, X.shape[1]):
-        squared.add_((X[:, None, axis] - hinges[None, :, axis]).square_())
-    return squared.mul_(-gamma).exp_()
+    # -gamma (|x|^2 - 2 x.h + |h|^2) as one matrix product; about the points' middle, where the squares are
+    # small enough for float32 to lose nothing that matters.
+    middle = X.mean(0)
+    X, hinges = X - middle, hinges - middle
+    left = torch.cat([X, X.square().sum(1, keepdim=True), torch.ones_like(X[:, :1])], 1)
+    right = torch.cat([2 * hinges, -torch.ones_like(hinges[:, :1]), -hinges.square().sum(1, keepdim=True)], 1)
+    return (left @ (right * gamma[:, None]).T).exp_()
 
 
 def reach(gamma: np.ndarray | float, cutoff: float) -> np.ndarray:

@@ -13,7 +13,7 @@ import torch
 
 from mapping.kernels import reach
 
-CUTOFF = 1e-6
+CUTOFF = 1e-5
 """Hinge points whose features stay below this in a block are left out."""
 BLOCK = 32
 """Nodes a side of the blocks a lattice is evaluated in; small blocks see few hinge points."""

@@ -96,7 +96,7 @@ def even_gram(places: np.ndarray, gamma: np.ndarray) -> np.ndarray:
 def test_the_factor_is_exact_when_every_row_couples_to_all_earlier_ones():
     rng = np.random.default_rng(0)
     count = NEIGHBOURS  # each row has at most this many earlier ones
-    places = rng.uniform(-0.1, 0.1, (count, 2)).astype(np.float32)
+    places = rng.uniform(-0.03, 0.03, (count, 2)).astype(np.float32)
     gamma = rng.uniform(500, 4000, count).astype(np.float32)
     diagonal = rng.uniform(1, 3, count).astype(np.float32)
     gram = np.sqrt(np.outer(diagonal, diagonal)) * even_gram(places, gamma)
@@ -104,7 +104,7 @@ def test_the_factor_is_exact_when_every_row_couples_to_all_earlier_ones():
     G = factor.pull(torch.eye(count)).numpy()
     whitened = G @ gram @ G.T
     # The ridge keeps eigenvalues a little below 1; without whitening they spread over orders of magnitude.
-    assert np.linalg.eigvalsh(gram).min() < 1e-3
+    assert np.linalg.eigvalsh(gram).min() < 0.02
     eigenvalues = np.linalg.eigvalsh(whitened)
     assert 0.2 < np.median(eigenvalues) <= eigenvalues.max() < 1.05
     np.testing.assert_allclose(factor.push(torch.eye(count)).numpy(), G.T, atol=1e-6)
