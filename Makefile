@@ -28,7 +28,7 @@ format: $(STAMP)
 $(STAMP): pyproject.toml constraints.txt
 	@$(MAKE) --no-print-directory system-libraries
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --upgrade-strategy only-if-needed -c constraints.txt -e '.[sim,viz,dev]'
+	$(BIN)/pip install --quiet --upgrade-strategy only-if-needed -c constraints.txt -e '.[dev]'
 	@touch $@
 
 # open3d links against these two; bare images lack them.

@@ -104,7 +104,7 @@ def test_the_factor_is_exact_when_every_row_couples_to_all_earlier_ones():
     G = factor.pull(torch.eye(count)).numpy()
     whitened = G @ gram @ G.T
     # The ridge keeps eigenvalues a little below 1; without whitening they spread over orders of magnitude.
-    assert np.linalg.eigvalsh(gram).min() < 0.02
+    assert np.linalg.eigvalsh(gram).min() < 0.1
     eigenvalues = np.linalg.eigvalsh(whitened)
     assert 0.2 < np.median(eigenvalues) <= eigenvalues.max() < 1.05
     np.testing.assert_allclose(factor.push(torch.eye(count)).numpy(), G.T, atol=1e-6)
