@@ -50,7 +50,7 @@ class VPrismConfig:
     """Adds a feature that is 1 everywhere."""
     cutoff: float = 1e-7
     """Features below this are dropped; 0 keeps all of them, at ten times the cost."""
-    cell: float = 0.08
+    cell: float = 0.12
     """Side of the groups of points [m] that share hinge points."""
 
 
