@@ -12,7 +12,7 @@ import torch
 from scipy.spatial import cKDTree
 
 NEIGHBOURS = 8
-"""Earlier hinge points each row of the factor couples to; more cost several times as much and save no step."""
+"""Earlier hinge points each row of the factor couples to; more cost several times as much for no gain."""
 RIDGE = 1e-3
 """Added to the unit diagonal of the correlations."""
 

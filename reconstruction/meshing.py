@@ -41,6 +41,10 @@ def extract_mesh(
         floor = np.log(config.max_uncertainty / (1 - config.max_uncertainty))
         sure = floor - np.log(np.clip(uncertainty, 1e-6, 1 - 1e-6) / np.clip(1 - uncertainty, 1e-6, 1))
         log_odds = np.minimum(log_odds, sure)
+    inside = log_odds > 0
+    # A void that nothing can see is no feature of an object: it is filled.
+    voids = ndimage.binary_fill_holes(inside) & ~inside
+    log_odds = np.where(voids, np.maximum(-log_odds, 0.01), log_odds)
     parts, count = ndimage.label(log_odds > 0)
     if count == 0:
         return None
