@@ -11,20 +11,18 @@ from tools.real_frames import compare, load_real_frames
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "real_rgbd"
 QUICK = ("6dof_graspnet_demo/mustard", "posecnn_pytorch_demo/000000", "graspnet_example")
-SLOW = tuple(
-    f"6dof_graspnet_demo/{name}"
-    for name in (
-        "blue_mug",
-        "cheezit",
-        "cylinder",
-        "green_bowl",
-        "pepper",
-        "red_mug",
-        "sugar",
-        "white_bowl",
-        "white_mug",
-    )
-) + ("posecnn_pytorch_demo/000002",)
+SINGLE = (
+    "blue_mug",
+    "cheezit",
+    "cylinder",
+    "green_bowl",
+    "pepper",
+    "red_mug",
+    "sugar",
+    "white_bowl",
+    "white_mug",
+)
+SLOW = [*(f"6dof_graspnet_demo/{name}" for name in SINGLE), "posecnn_pytorch_demo/000002"]
 
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no real frames at {DATA}")
 
