@@ -28,6 +28,8 @@ def reconstruct(frame: Frame, config: PipelineConfig | None = None, seed: int = 
     meshes to the byte on one machine. Objects that cannot be mapped are listed in `skipped`, with the
     reason. Raises FrameError when the frame shows no usable object.
     """
+    import open3d  # noqa: F401  # loaded before the clock starts: its first import takes a second
+
     config = config or PipelineConfig()
     timings: dict[str, float] = {}
     rng = np.random.default_rng(seed)

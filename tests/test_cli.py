@@ -250,3 +250,23 @@ def test_importing_the_command_line_is_light():
         [sys.executable, "-c", code], capture_output=True, text=True, check=False, env=dict(os.environ)
     )
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("message", "package", "advice"),
+    [
+        ("libusb-1.0.so.0: cannot open shared object file", "open3d", "apt-get install"),
+        ("No module named 'pybullet'", "pybullet", "3.10 and 3.11"),
+        ("No module named 'rerun'", "rerun", "contramap[viz]"),
+    ],
+)
+def test_a_missing_library_is_one_line_with_the_mend(monkeypatch, capsys, message, package, advice):
+    import tools.cli
+
+    def broken(arguments: list[str]) -> None:
+        raise ImportError(message, name=package)
+
+    monkeypatch.setattr(tools.cli, "_run", broken)
+    line = fails(capsys, "map")
+    assert message in line
+    assert advice in line

@@ -50,6 +50,8 @@ GROUPS: dict[str, dict[str, Command]] = {
     "benchmark": {"latency": latency},
     "reproduce": {"toy": toy, "occupancy": occupancy, "hinges": hinges},
 }
+EXTRAS = {"pooch": "sim", "rerun": "viz", "matplotlib": "viz", "ray": "cluster"}
+"""Package -> the extra that brings it."""
 DESCRIPTION = "RGB-D frames to metric object meshes with uncertainty."
 
 
@@ -61,14 +63,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ContraMapError as error:
         print(f"contramap: error: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
+    except (ImportError, OSError) as error:
+        if isinstance(error, BrokenPipeError):
+            # The reader of our output (head, less) has gone; nothing is wrong.
+            sys.stderr.close()
+            return 0
+        print(f"contramap: error: {' '.join(str(error).split())}{_advice(error)}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print("contramap: interrupted", file=sys.stderr)
         return 130
-    except BrokenPipeError:
-        # The reader of our output (head, less) has gone; nothing is wrong.
-        sys.stderr.close()
-        return 0
     return 0
+
+
+def _advice(error: Exception) -> str:
+    """How to mend a missing library or package; empty for other errors."""
+    text = str(error)
+    if any(library in text for library in ("libusb", "libGL", "libgomp")):
+        return "; open3d needs system libraries: sudo apt-get install -y libusb-1.0-0 libgl1 libgomp1"
+    package = error.name.split(".")[0] if isinstance(error, ImportError) and error.name else None
+    if package == "pybullet":
+        return "; pybullet has wheels for Python 3.10 and 3.11: pip install 'contramap[sim]'"
+    return f"; pip install 'contramap[{EXTRAS[package]}]'" if package in EXTRAS else ""
 
 
 def _run(arguments: list[str]) -> None:

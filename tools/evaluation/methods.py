@@ -39,8 +39,14 @@ class FittedMap(ABC):
         """Probabilities (N, K+1) of empty and the K objects, and uncertainty (N,), at points (N, 3)."""
 
     def occupancy(self, axes: list[np.ndarray], index: int) -> np.ndarray:
-        """P(object `index`), 0-based, on the lattice spanned by three coordinate arrays: (nx, ny, nz)."""
-        return self.predict(_nodes(axes))[0][:, index + 1].reshape([len(axis) for axis in axes])
+        """P(object `index`), 0-based, on the lattice spanned by three coordinate arrays: (nx, ny, nz).
+
+        0 at nodes that are not worth asking.
+        """
+        wanted = self.worth_asking(axes)
+        out = np.zeros(wanted.shape, np.float32)
+        out[wanted] = self.predict(_nodes(axes)[wanted.reshape(-1)])[0][:, index + 1]
+        return out
 
     def field(self, lows: np.ndarray, highs: np.ndarray, spacing: float) -> Field:
         """Log odds and uncertainty on a lattice of `spacing` [m] over boxes lows..highs (K, 3)."""
@@ -110,12 +116,6 @@ class FittedVPrism(FittedMap):
         probability = self.model.predict_proba(points)
         return probability, normalised_entropy(probability)
 
-    def occupancy(self, axes: list[np.ndarray], index: int) -> np.ndarray:
-        wanted = self.worth_asking(axes)
-        out = np.zeros(wanted.shape, np.float32)
-        out[wanted] = self.predict(_nodes(axes)[wanted.reshape(-1)])[0][:, index + 1]
-        return out
-
     def worth_asking(self, axes: list[np.ndarray]) -> np.ndarray:
         # P_k = 1 / (1 + sum_j exp(-margin_kj)) > 1/2 needs every margin > 0: only the class with the largest
         # mean can have it. Means are cheap on a lattice, variances are not.
@@ -136,6 +136,15 @@ class FittedOneVsRest(FittedMap):
         alone = np.stack([model.predict_proba(points)[:, 1] for model in self.models], 1)
         probability = alone / np.maximum(alone.sum(1, keepdims=True), 1e-9)
         return probability.astype(np.float32), gini(probability)
+
+    def worth_asking(self, axes: list[np.ndarray]) -> np.ndarray:
+        # An object's share passes 1/2 only where it beats empty space. That cannot be where its own mean is
+        # negative and that of empty space positive, whatever the variances are.
+        hinges = self.models[0].hinges
+        gamma = np.full(len(hinges), self.models[0].config.gamma, np.float32)
+        weights = torch.from_numpy(np.stack([model.mu for model in self.models], 1).astype(np.float32))
+        means = LatticeEvaluator(hinges, gamma, weights, torch.zeros(len(self.models)))(axes).numpy()
+        return _beside((means[1:] > 0).any(0) | (means[0] < 0))
 
 
 Method = Callable[[Observation, Space, np.random.Generator], FittedMap]
