@@ -12,6 +12,8 @@ import numpy as np
 import torch
 from scipy import sparse
 
+from mapping.threads import map_in_threads
+
 FIT_CUTOFF = 3e-3
 """Features below this are dropped while fitting: 20-45 of thousands remain a row."""
 PREDICT_CUTOFF = 1e-7
@@ -100,25 +102,23 @@ def sparse_features(
     """Truncated features of X (N, d); each row keeps the hinges whose feature exceeds `cutoff`."""
     X_t, hinges_t = torch.from_numpy(X), torch.from_numpy(hinges)
     gamma_t = torch.from_numpy(gamma)
-    rows_of, strongest, lengths, columns, values = [], [], [], [], []
-    for rows, near in blocks(X, hinges, gamma, cutoff):
-        rows_t, near_t = torch.from_numpy(rows), torch.from_numpy(near)
-        phi = dense_features(X_t[rows_t], hinges_t[near_t], gamma_t[near_t])
+
+    def rows_of(block: tuple[np.ndarray, np.ndarray]) -> tuple[torch.Tensor, ...]:
+        rows, near = torch.from_numpy(block[0]), torch.from_numpy(block[1])
+        phi = dense_features(X_t[rows], hinges_t[near], gamma_t[near])
         kept = phi > cutoff
-        rows_of.append(rows_t)
-        strongest.append(phi.amax(1) if len(near) else torch.zeros(len(rows)))
-        lengths.append(kept.sum(1))
-        columns.append(near_t[kept.nonzero()[:, 1]])
-        values.append(phi[kept])
-    order, column, value = torch.cat(rows_of), torch.cat(columns).int(), torch.cat(values)
-    length = torch.cat(lengths)
+        strongest = phi.amax(1) if len(near) else torch.zeros(len(rows))
+        return rows, strongest, kept.sum(1), near[kept.nonzero()[:, 1]].int(), phi[kept]
+
+    parts = zip(*map_in_threads(rows_of, blocks(X, hinges, gamma, cutoff)))
+    order, strongest, length, column, value = (torch.cat(part) for part in parts)
     offsets = (length.cumsum(0) - length).int()
     ends = np.append(offsets.numpy(), len(value))
     shape = (len(order), len(hinges))
     transposed = sparse.csr_matrix((value.numpy(), column.numpy(), ends), shape).tocsc()
     tensors = (
         order,
-        torch.cat(strongest),
+        strongest,
         offsets,
         column,
         value,

@@ -12,6 +12,7 @@ import torch
 from scipy import ndimage
 
 from mapping.contramap import ContraMap
+from mapping.threads import map_in_threads
 
 BLOCK = 24
 """Nodes a side of a block that is evaluated or skipped as a whole."""
@@ -66,10 +67,8 @@ def evaluate_field(model: ContraMap, lows: np.ndarray, highs: np.ndarray, spacin
     log_odds = np.full((objects, *shape), OUTSIDE, np.float32)
     uncertainty = np.ones(shape, np.float32)
     side = spacing * BLOCK
-    for block in np.argwhere(peak > SKIP_LOG_ODDS):
-        corner = origin + side * block
-        if not ((corner <= highs) & (corner + side >= lows)).all(1).any():
-            continue
+
+    def fill(block: np.ndarray) -> None:
         window = tuple(slice(b * BLOCK, (b + 1) * BLOCK) for b in block)
         logits = evaluate([axis[w] for axis, w in zip(axes, window)])
         share = (logits - logits.amax(0)).exp_()
@@ -79,4 +78,8 @@ def evaluate_field(model: ContraMap, lows: np.ndarray, highs: np.ndarray, spacin
         structure = total - share[-1]
         others = (structure - share[1:-1]).clamp_min_(1e-9)
         log_odds[(slice(None), *window)] = (share[1:-1].clamp_min(1e-9) / others).log_().cpu().numpy()
+
+    corners = origin + side * np.argwhere(peak > SKIP_LOG_ODDS)
+    touched = (corners[:, None] <= highs) & (corners[:, None] + side >= lows)
+    map_in_threads(fill, np.argwhere(peak > SKIP_LOG_ODDS)[np.any(np.all(touched, axis=2), axis=1)])
     return Field(origin, spacing, log_odds, uncertainty)

@@ -41,10 +41,7 @@ def extract_mesh(
         floor = np.log(config.max_uncertainty / (1 - config.max_uncertainty))
         sure = floor - np.log(np.clip(uncertainty, 1e-6, 1 - 1e-6) / np.clip(1 - uncertainty, 1e-6, 1))
         log_odds = np.minimum(log_odds, sure)
-    inside = log_odds > 0
-    # A void that nothing can see is no feature of an object: it is filled.
-    voids = ndimage.binary_fill_holes(inside) & ~inside
-    log_odds = np.where(voids, np.maximum(-log_odds, 0.01), log_odds)
+    log_odds = _without_voids(log_odds)
     parts, count = ndimage.label(log_odds > 0)
     if count == 0:
         return None
@@ -67,3 +64,12 @@ def extract_mesh(
     corner = field.origin + field.spacing * np.array([w.start for w in window])
     mesh = trimesh.Trimesh(corner + field.spacing * nodes, faces, process=False)
     return mesh, np.clip(at_vertices, 0, 1).astype(np.float32)
+
+
+def _without_voids(log_odds: np.ndarray) -> np.ndarray:
+    """The same lattice with enclosed hollows filled: what nothing can ever see is no feature of an object."""
+    outside, count = ndimage.label(np.pad(log_odds <= 0, 1, constant_values=True))
+    if count == 1:
+        return log_odds
+    voids = (outside > 0) & (outside != outside[0, 0, 0])
+    return np.where(voids[1:-1, 1:-1, 1:-1], np.maximum(-log_odds, 0.01), log_odds)

@@ -1,6 +1,7 @@
 """Hinge placement, sampling primitives and the preconditioner."""
 
 import numpy as np
+import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -8,6 +9,7 @@ from hypothesis import strategies as st
 from mapping.hinges import lattice_in_box, lattice_near_centres, lattice_near_points, random_subset
 from mapping.preconditioner import NEIGHBOURS, sparse_factor
 from mapping.samples import along_rays, jittered_lattice, shift_along_rays, voxel_subsample, within
+from mapping.threads import map_in_threads
 
 
 def test_lattice_in_box_holds_the_multiples_of_the_spacing():
@@ -119,3 +121,17 @@ def test_the_factor_improves_the_condition_number():
     factor = sparse_factor(torch.ones(len(places)), places, gamma)
     G = factor.pull(torch.eye(len(places))).numpy().astype(float)
     assert np.linalg.cond(G @ gram @ G.T) < 0.1 * np.linalg.cond(gram)
+
+
+def test_map_in_threads_keeps_order_and_restores_the_thread_count():
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        inside = map_in_threads(lambda i: (i, torch.get_num_threads()), range(50))
+        assert inside == [(i, 1) for i in range(50)]
+        assert torch.get_num_threads() == 2
+        with pytest.raises(ZeroDivisionError):
+            map_in_threads(lambda i: 1 / i, [1, 0])
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)

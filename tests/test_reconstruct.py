@@ -156,3 +156,19 @@ def test_diagnostics_are_complete(result):
     assert result.map.report.losses[-1] < result.map.report.losses[0]
     assert len(result.samples) == len(result.sample_classes)
     assert result.config["preset"] == "tabletop"
+
+
+def test_an_enclosed_hollow_is_filled():
+    from reconstruction.field import Field
+    from reconstruction.meshing import MeshConfig, extract_mesh
+
+    axis = np.arange(-20, 21)
+    radius = np.sqrt(sum(c**2 for c in np.meshgrid(axis, axis, axis, indexing="ij")))
+    shell = np.minimum(15 - radius, radius - 6).astype(np.float32)  # positive between radius 6 and 15
+    field = Field(np.zeros(3), 0.005, shell[None], np.zeros(shell.shape, np.float32))
+    extracted = extract_mesh(field, 0, np.zeros(3), np.full(3, 0.2), MeshConfig())
+    assert extracted is not None
+    mesh, _ = extracted
+    assert mesh.is_watertight
+    assert mesh.body_count == 1
+    assert mesh.volume == pytest.approx(4 / 3 * np.pi * (15 * 0.005) ** 3, rel=0.02)

@@ -153,22 +153,33 @@ def finish(jobs: list[Job], failures: list[dict[str, str]], gallery: int, json_f
 
 
 def make_gallery(jobs: list[Job], count: int) -> Path | None:
-    """Draw the gallery of the first scenes: ContraMap beside V-PRISM where both are evaluated."""
+    """Draw the gallery of the first scenes, ContraMap beside V-PRISM where both are evaluated.
+
+    Kept when it is newer than the results.
+    """
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor
+
     from tqdm import tqdm
 
+    from tools.evaluation.engine import process_environment, worker_environment
     from tools.evaluation.gallery import gallery_pictures, write_gallery
 
-    wanted = ("contramap", "vprism")
-    names = tuple(name for name in wanted if name in jobs[0].methods) or jobs[0].methods[:1]
-    first = jobs[0].seed
-    chosen = [
-        job for job in jobs if job.seed == first and all(job.result_file(name).is_file() for name in names)
-    ][:count]
-    if not chosen:
-        return None
-    rows = {}
-    for job in tqdm(chosen, desc="gallery"):
-        rows[job.scene.name] = gallery_pictures(job.scene, names, job.ycb_dir)
+    wanted = tuple(name for name in ("contramap", "vprism") if name in jobs[0].methods)
+    names = wanted or jobs[0].methods[:1]
     path = jobs[0].out / "figures" / "gallery.png"
+    first = [job for job in jobs if job.seed == jobs[0].seed]
+    shown = [job for job in first if all(job.result_file(name).is_file() for name in names)][:count]
+    if not shown:
+        return None
+    newest = max(job.result_file(name).stat().st_mtime for job in shown for name in names)
+    if path.is_file() and path.stat().st_mtime > newest:
+        return path
+    # In a worker like those that measured: same threads, and a crash leaves the tables standing.
+    environment = process_environment(worker_environment(jobs[0].threads))
+    context = multiprocessing.get_context("spawn")
+    with environment, ProcessPoolExecutor(1, mp_context=context) as pool:
+        futures = [pool.submit(gallery_pictures, job.scene, names, job.ycb_dir) for job in shown]
+        rows = {job.scene.name: f.result() for job, f in zip(shown, tqdm(futures, desc="gallery"))}
     write_gallery(rows, path)
     return path
