@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy import sparse
 
 from mapping.threads import map_in_threads
 
@@ -100,6 +99,8 @@ def sparse_features(
     device: torch.device,
 ) -> SparseFeatures:
     """Truncated features of X (N, d); each row keeps the hinges whose feature exceeds `cutoff`."""
+    from scipy import sparse  # here, since it would add to the cost of importing the map
+
     X_t, hinges_t = torch.from_numpy(X), torch.from_numpy(hinges)
     gamma_t = torch.from_numpy(gamma)
 

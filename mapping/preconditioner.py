@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
 
 NEIGHBOURS = 8
 """Earlier hinge points each row of the factor couples to; more cost several times as much for no gain."""
@@ -52,6 +51,8 @@ def sparse_factor(diagonal: torch.Tensor, hinges: np.ndarray, gamma: np.ndarray)
     guide a fit for others, positive definite always, and no sum over samples is needed.
     hinges: (H, d); gamma: (H,).
     """
+    from scipy.spatial import cKDTree  # here, to keep the import of the map light
+
     count, dimensions = hinges.shape
     rank = np.random.default_rng(0).permutation(count)  # a random order spreads the error evenly
     candidates = min(2 * NEIGHBOURS + NEIGHBOURS // 2, count)
