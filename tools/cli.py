@@ -13,6 +13,7 @@ from tools.demo import demo
 from tools.evaluate import evaluate
 from tools.map_frame import map_frame
 from tools.reproduce.commands import hinges, occupancy, toy
+from tools.scaling import scaling
 from tools.simulate import fetch_ycb, scenes
 from tools.view import view
 
@@ -28,7 +29,7 @@ def fetch() -> None:
 
 
 def benchmark() -> None:
-    """Time the pipeline: `contramap benchmark latency`."""
+    """Time the pipeline: `contramap benchmark latency | scaling`."""
 
 
 def reproduce() -> None:
@@ -47,7 +48,7 @@ COMMANDS: dict[str, Command] = {
 }
 GROUPS: dict[str, dict[str, Command]] = {
     "fetch": {"ycb": fetch_ycb},
-    "benchmark": {"latency": latency},
+    "benchmark": {"latency": latency, "scaling": scaling},
     "reproduce": {"toy": toy, "occupancy": occupancy, "hinges": hinges},
 }
 EXTRAS = {"pooch": "sim", "rerun": "viz", "matplotlib": "viz", "ray": "cluster"}
