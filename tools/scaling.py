@@ -25,8 +25,8 @@ FIXED_HINGES = 1000
 """Hinge points while objects vary."""
 BOX = np.array([0.8, 0.6, 0.3])
 """Space that samples and hinge points fill [m]."""
-VPRISM_COPIES = 5
-"""K x H x H float64 arrays that V-PRISM holds at its peak: prior, precision, factor and covariance twice."""
+VPRISM_COPIES = 6
+"""K x H x H float64 arrays that V-PRISM holds at its peak: prior, precision, factor, covariances."""
 
 
 @dataclass(frozen=True)
@@ -207,7 +207,8 @@ def draw(figures: dict[str, Any], path: Path) -> None:
             cell.set(xscale="log", yscale="log", ylabel=text)
             cell.grid(color="#e6e8eb")
             cell.spines[["top", "right"]].set_visible(False)
-            cell.legend(frameon=False, fontsize=8)
+            cell.set_ylim(top=cell.get_ylim()[1] * 12)  # room for the legend
+            cell.legend(frameon=False, fontsize=8, loc="upper left")
             cell.yaxis.set_major_formatter("{x:g}")
             ticks = sorted({row[sweep] for row in figures[sweep]})
             cell.set_xticks(ticks, [f"{tick:,}" for tick in ticks], minor=False)
