@@ -73,6 +73,18 @@ def test_map_from_separate_files_and_from_npz(folder, tmp_path):
         np.testing.assert_allclose(one.mesh.vertices, other.mesh.vertices, atol=1e-6)
 
 
+def test_the_configuration_of_a_result_can_be_used_again(folder, tmp_path):
+    out = tmp_path / "first"
+    assert main(["map", str(folder), "--out", str(out), "--set", "samples.pair_offset=0.006"]) == 0
+    config = json.loads((out / "scene.json").read_text())["config"]
+    assert config["samples"]["pair_offset"] == 0.006
+    (tmp_path / "config.json").write_text(json.dumps(config))
+    again = tmp_path / "again"
+    assert main(["map", str(folder), "--out", str(again), "--config", str(tmp_path / "config.json")]) == 0
+    for a, b in zip(load_result(out).objects, load_result(again).objects, strict=True):
+        np.testing.assert_array_equal(a.mesh.vertices, b.mesh.vertices)
+
+
 def test_output_folder_must_be_empty_unless_overwrite(folder, tmp_path, capsys):
     out = tmp_path / "r"
     assert main(["map", str(folder), "--out", str(out)]) == 0

@@ -31,7 +31,9 @@ def pipeline_config(
 
     config = preset(preset_name, device, prior)
     if config_file is not None:
-        config = override(config, _read_json(config_file))
+        # A scene.json's `config` names its preset, which --preset has chosen already.
+        stored = {name: value for name, value in _read_json(config_file).items() if name != "preset"}
+        config = override(config, stored)
     for setting in settings:
         name, separator, value = setting.partition("=")
         if not separator:
