@@ -45,7 +45,7 @@ def reconstruct(frame: Frame, config: PipelineConfig | None = None, seed: int = 
             training.X, training.y, hinges=training.hinges, gamma=training.gamma
         )
     with _timed(timings, "field"):
-        lows, highs = _object_space(observation, config.mesh.margin)
+        lows, highs = object_space(observation, config.mesh.margin)
         field = evaluate_field(model, lows, highs, config.mesh.spacing)
     T_world_table = frame.camera.T_world_camera @ np.linalg.inv(observation.T_table_camera)
     objects: list[ReconstructedObject] = []
@@ -89,7 +89,7 @@ def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
     timings[stage] = (perf_counter() - start) * 1e3
 
 
-def _object_space(observation: Observation, margin: float) -> tuple[np.ndarray, np.ndarray]:
+def object_space(observation: Observation, margin: float) -> tuple[np.ndarray, np.ndarray]:
     """Boxes (K, 3), (K, 3) [m] in the table frame that hold every place where an object can be.
 
     What is hidden of an object reaches no further than `margin` beyond what is seen of it.

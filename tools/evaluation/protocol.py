@@ -21,7 +21,7 @@ from reconstruction.metrics import (
     iou,
     sample_surface,
 )
-from reconstruction.scene import _object_space as object_boxes
+from reconstruction.scene import object_space as object_boxes
 from tools.evaluation.case import Case
 from tools.evaluation.methods import FittedMap
 from tools.evaluation.statistics import spearman
