@@ -16,7 +16,7 @@ from mapping.errors import ConfigError, DataError
 from perception.camera import Camera
 from perception.frame import Frame
 from perception.frame_io import save_frame
-from sim_scenes import builtin_objects, ycb
+from sim_scenes import builtin_objects, random_urdfs, ycb
 from sim_scenes.convex_parts import build_all
 from sim_scenes.object_model import ObjectModel
 from sim_scenes.render import Renderer, random_cameras
@@ -45,12 +45,15 @@ class ObjectSource:
 
 
 def object_source(objects: str = "auto", ycb_dir: str | Path | None = None) -> ObjectSource:
-    """Objects to put on tables: "ycb" scans, "builtin" shapes, or "auto": scans if found, else built-in.
+    """Objects to put on tables: "ycb" scans, "builtin" shapes, "figures" of blocks that ship with pybullet and
+    that no training set holds, or "auto": scans if found, else built-in.
 
     Raises ConfigError for another word and DataError when scans are asked for and not found.
     """
-    if objects not in ("auto", "ycb", "builtin"):
-        raise ConfigError(f"objects: {objects!r} is unknown; valid: auto, ycb, builtin")
+    if objects not in ("auto", "ycb", "builtin", "figures"):
+        raise ConfigError(f"objects: {objects!r} is unknown; valid: auto, ycb, builtin, figures")
+    if objects == "figures":
+        return ObjectSource("figures", random_urdfs.draw)
     folder = None if objects == "builtin" else ycb.find_ycb(ycb_dir)
     if folder is None and objects == "ycb":
         raise DataError(

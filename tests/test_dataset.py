@@ -181,3 +181,11 @@ def test_scenes_of_real_scans(tmp_path: Path) -> None:
     moved["ycb_dir"] = "/nowhere"
     (folder / "truth.json").write_text(json.dumps(moved))
     assert load_truth(folder, SHARED).objects[0].mesh_path.is_file()
+
+
+def test_block_figures_make_scenes_of_their_own(tmp_path: Path) -> None:
+    folder = generate(tmp_path, objects="figures", seed=5)[0]
+    truth = load_truth(folder)
+    assert all(item.name.startswith("figure_") and item.watertight for item in truth.objects)
+    assert all(0.02 < mesh.extents.max() < 0.25 for mesh in truth.meshes.values())
+    assert all(mesh.bounds[0, 2] > -2e-3 for mesh in truth.meshes.values())  # they rest on the table

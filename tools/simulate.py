@@ -27,7 +27,8 @@ def scenes(
         out: Folder for scene_0000, scene_0001, ...; finished scenes are kept, so a stopped run goes on.
         count: Scenes.
         seed: Scene i depends on the seed and i alone.
-        objects: ycb (real scans), builtin (procedural and shipped shapes), or auto: scans where found.
+        objects: ycb (real scans), builtin (procedural and shipped shapes), figures (of blocks; they ship with
+            pybullet and no training set holds them), or auto: scans where found.
         ycb: Folder of YCB scans; otherwise YCB_DIR, ../shared/data/ycb and the download folder are tried.
         views: Cameras around each scene; the first is the scene folder itself.
         sensor_noise: Give the depth a real camera's errors.
