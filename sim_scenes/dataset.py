@@ -45,8 +45,8 @@ class ObjectSource:
 
 
 def object_source(objects: str = "auto", ycb_dir: str | Path | None = None) -> ObjectSource:
-    """Objects to put on tables: "ycb" scans, "builtin" shapes, "figures" of blocks that ship with pybullet and
-    that no training set holds, or "auto": scans if found, else built-in.
+    """Objects to put on tables: "ycb" scans, "builtin" shapes, "figures" of blocks (they ship with pybullet;
+    no training set holds them), or "auto": scans if found, else built-in.
 
     Raises ConfigError for another word and DataError when scans are asked for and not found.
     """

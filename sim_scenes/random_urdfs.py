@@ -6,7 +6,6 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 from mapping.errors import DataError
 from sim_scenes.object_model import ObjectModel, load_model
