@@ -72,7 +72,8 @@ def occupancy(
         json: Also write the figures to this file.
     """
     from tools.reproduce.landscape import LANDSCAPES
-    from tools.reproduce.occupancy import METHODS, OccupancyConfig, occupancy_table, run_occupancy
+    from tools.reproduce.occupancy import occupancy_table, run_occupancy
+    from tools.reproduce.occupancy_methods import METHODS, OccupancyConfig
 
     config = OccupancyConfig(held_out_run=held_out_run)
     summary = run_occupancy(

@@ -13,13 +13,8 @@ from mapping.deep_map import DeepMap, DeepMapConfig
 from tools.evaluation.statistics import auroc
 from tools.options import write_json
 from tools.reproduce.landscape import LANDSCAPES, OCCUPIED, Landscape, Split, load_log, split_log
-from tools.reproduce.occupancy import (
-    KEYS,
-    OccupancyConfig,
-    measure,
-    share_occupied,
-    with_noise,
-)
+from tools.reproduce.occupancy import KEYS, measure
+from tools.reproduce.occupancy_methods import OccupancyConfig, share_occupied, with_noise
 from tools.reproduce.runs import (
     Stopwatch,
     cached_run,
@@ -27,6 +22,7 @@ from tools.reproduce.runs import (
     markdown_table,
     save_figure,
     summarise,
+    timed,
 )
 
 TITLES = {
@@ -133,22 +129,20 @@ def _settings(method: str, config: HingesConfig) -> dict[str, Any]:
 def _measure(
     method: str, split: Split, landscape: Landscape, config: HingesConfig, seed: int
 ) -> dict[str, float]:
-    rng = np.random.default_rng([seed, 1])
     axes = query_axes(landscape, config.query_step)
     if method in ("contramap_0", "bayesian_hilbert"):
         name = "contramap" if method == "contramap_0" else method
-        return measure(name, split, landscape, config.occupancy, rng, axes)[0]
+        return measure(name, split, landscape, config.occupancy, seed, axes)[0]
     network = asdict(config.network) | {
         "hidden_layers": int(method[-1]),
         "gamma": landscape.gamma(config.occupancy.kernel_width),
     }
     X, y, weights = with_noise(split, config.occupancy.noise_weight)
+    rng = np.random.default_rng([seed, 1])
     train = Stopwatch()
     model = DeepMap(DeepMapConfig(**network)).fit(X, y, landscape.hinges, rng, weights)
     figures = train.figures("train")
-    infer = Stopwatch()
-    model.predict_lattice(axes)
-    figures |= infer.figures("infer")
+    figures |= timed("infer", lambda: model.predict_lattice(axes))[1]
     auc = auroc(share_occupied(model.predict_proba(split.X_test)), split.y_test == OCCUPIED)
     return {"auc": auc, **figures}
 

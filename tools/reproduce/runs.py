@@ -6,13 +6,15 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from mapping.errors import ConfigError, DataError
 from reconstruction.atomic import temporary_beside
 from tools.options import write_json
+
+T = TypeVar("T")
 
 LARGE_FIGURE = 200_000
 """A figure above this size [bytes] is written with a palette."""
@@ -49,6 +51,22 @@ class Stopwatch:
             f"{name}_s": time.perf_counter() - self._wall,
             f"{name}_cpu_s": time.process_time() - self._processor,
         }
+
+
+def timed(
+    name: str, compute: Callable[[], T], least_s: float = 1.0, most: int = 9
+) -> tuple[T, dict[str, float]]:
+    """compute()'s result and its Stopwatch figures: medians of repeats until `least_s` [s] or `most` repeats.
+
+    One call of some milliseconds would mostly show what else the machine did.
+    """
+    repeats: list[dict[str, float]] = []
+    whole = time.perf_counter()
+    while not repeats or (len(repeats) < most and time.perf_counter() - whole < least_s):
+        watch = Stopwatch()
+        result = compute()
+        repeats.append(watch.figures(name))
+    return result, {key: float(np.median([found[key] for found in repeats])) for key in repeats[0]}
 
 
 def mean_std(values: Sequence[float]) -> dict[str, float]:
