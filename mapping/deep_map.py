@@ -15,7 +15,7 @@ from torch import nn
 from typing_extensions import Self
 
 from mapping.errors import ConfigError, DataError
-from mapping.kernels import FIT_CUTOFF, PREDICT_CUTOFF, SparseFeatures, sparse_features
+from mapping.kernels import FIT_CUTOFF, PREDICT_CUTOFF, SparseFeatures, SparseRows, sparse_features
 from mapping.lattice import LatticeEvaluator
 
 
@@ -75,7 +75,7 @@ class DeepMap:
         for _ in range(config.epochs):
             for rows in torch.randperm(len(targets), generator=generator).split(config.batch):
                 optimiser.zero_grad()
-                logits = self._tail(_rows_times(features, rows, self.first))
+                logits = self._tail(_rows_times(features.rows, rows, self.first))
                 losses = nn.functional.cross_entropy(logits, targets[rows], reduction="none")
                 (losses * importance[rows]).mean().backward()
                 optimiser.step()
@@ -119,17 +119,17 @@ class DeepMap:
         return sparse_features(points, self.hinges, self._gamma, cutoff, torch.device("cpu"))
 
 
-def _rows_times(features: SparseFeatures, rows: torch.Tensor, W: torch.Tensor) -> torch.Tensor:
-    """The chosen rows of Phi W, with gradients for W: (n,), (H, width) -> (n, width)."""
-    ends = torch.cat([features.offsets[1:], torch.tensor([len(features.values)])])
-    starts = features.offsets[rows].long()
+def _rows_times(matrix: SparseRows, rows: torch.Tensor, W: torch.Tensor) -> torch.Tensor:
+    """The chosen rows of a sparse matrix times W, with gradients for W: (n,), (H, width) -> (n, width)."""
+    ends = torch.cat([matrix.offsets[1:], torch.tensor([len(matrix.values)])])
+    starts = matrix.offsets[rows].long()
     lengths = ends[rows].long() - starts
     offsets = lengths.cumsum(0) - lengths
     entries = torch.arange(int(lengths.sum())) + torch.repeat_interleave(starts - offsets, lengths)
     return nn.functional.embedding_bag(
-        features.columns[entries].long(),
+        matrix.columns[entries].long(),
         W,
         offsets,
         mode="sum",
-        per_sample_weights=features.values[entries],
+        per_sample_weights=matrix.values[entries],
     )

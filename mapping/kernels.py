@@ -6,7 +6,7 @@ Knows points, hinge points and widths; knows nothing of classes, weights' meanin
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -20,42 +20,52 @@ PREDICT_CUTOFF = 1e-7
 
 
 @dataclass(frozen=True)
-class SparseFeatures:
-    """Rows of truncated features in CSR form and, for gradients, the transpose.
+class SparseRows:
+    """Rows of a sparse matrix. offsets: (rows,) start of each; columns: (nnz,); values: (nnz,) float32."""
 
-    order: (N,) the row's index in the caller's array (rows are sorted by block for locality).
+    offsets: torch.Tensor
+    columns: torch.Tensor
+    values: torch.Tensor
+
+    def times(self, table: torch.Tensor) -> torch.Tensor:
+        """This matrix times a dense table (columns, C): (rows, C)."""
+        # embedding_bag is the fastest sparse-times-dense product of torch on a CPU and runs on CUDA as well.
+        return torch.nn.functional.embedding_bag(
+            self.columns, table, self.offsets, mode="sum", per_sample_weights=self.values
+        )
+
+    def part(self, rows: slice) -> SparseRows:
+        """Some consecutive rows, without a copy of their values."""
+        last = int(self.offsets[rows.stop]) if rows.stop < len(self.offsets) else len(self.columns)
+        first = int(self.offsets[rows.start]) if rows.start < len(self.offsets) else last
+        return SparseRows(self.offsets[rows] - first, self.columns[first:last], self.values[first:last])
+
+
+@dataclass(frozen=True)
+class SparseFeatures:
+    """Truncated features of N points and, for gradients, their transpose.
+
+    order: (N,) the row's index in the caller's array (rows are sorted by block for locality); strongest:
+    (N,) largest feature of each row.
     """
 
     order: torch.Tensor
-    strongest: torch.Tensor  # (N,) largest feature of each row
-    offsets: torch.Tensor  # (N,) start of each row
-    columns: torch.Tensor  # (nnz,) hinge index
-    values: torch.Tensor  # (nnz,) float32
-    transposed_offsets: torch.Tensor  # (H,)
-    transposed_columns: torch.Tensor  # (nnz,) row index
-    transposed_values: torch.Tensor  # (nnz,)
+    strongest: torch.Tensor
+    rows: SparseRows
+    transposed: SparseRows
 
     def times(self, W: torch.Tensor) -> torch.Tensor:
         """Phi W: (H, C) -> (N, C)."""
-        return _bag(W, self.columns, self.offsets, self.values)
+        return self.rows.times(W)
 
     def transpose_times(self, R: torch.Tensor) -> torch.Tensor:
         """Phi^T R: (N, C) -> (H, C)."""
-        return _bag(R, self.transposed_columns, self.transposed_offsets, self.transposed_values)
+        return self.transposed.times(R)
 
     def squared_column_sums(self, row_weights: torch.Tensor) -> torch.Tensor:
         """sum_i w_i phi_ih^2 for each hinge: (N,) -> (H,)."""
-        squared = self.transposed_values.square()
-        return _bag(row_weights[:, None], self.transposed_columns, self.transposed_offsets, squared)[:, 0]
-
-
-def _bag(
-    table: torch.Tensor, columns: torch.Tensor, offsets: torch.Tensor, values: torch.Tensor
-) -> torch.Tensor:
-    # embedding_bag is the fastest sparse-times-dense product of torch on a CPU and runs on CUDA as well.
-    return torch.nn.functional.embedding_bag(
-        columns, table, offsets, mode="sum", per_sample_weights=values, include_last_offset=False
-    )
+        squared = replace(self.transposed, values=self.transposed.values.square())
+        return squared.times(row_weights[:, None])[:, 0]
 
 
 def dense_features(X: torch.Tensor, hinges: torch.Tensor, gamma: torch.Tensor) -> torch.Tensor:
@@ -117,14 +127,10 @@ def sparse_features(
     ends = np.append(offsets.numpy(), len(value))
     shape = (len(order), len(hinges))
     transposed = sparse.csr_matrix((value.numpy(), column.numpy(), ends), shape).tocsc()
-    tensors = (
-        order,
-        strongest,
-        offsets,
-        column,
-        value,
-        torch.from_numpy(transposed.indptr[:-1].astype(np.int32)),
-        torch.from_numpy(transposed.indices.astype(np.int32)),
-        torch.from_numpy(transposed.data),
+    csc = (transposed.indptr[:-1].astype(np.int32), transposed.indices.astype(np.int32), transposed.data)
+    return SparseFeatures(
+        order.to(device),
+        strongest.to(device),
+        SparseRows(*(t.to(device) for t in (offsets, column, value))),
+        SparseRows(*(torch.from_numpy(a).to(device) for a in csc)),
     )
-    return SparseFeatures(*(t.to(device) for t in tensors))

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from mapping.threads import Threads
+
 NEIGHBOURS = 8
 """Earlier hinge points each row of the factor couples to; more cost several times as much for no gain."""
 RIDGE = 1e-3
@@ -53,7 +55,7 @@ def sparse_factor(diagonal: torch.Tensor, hinges: np.ndarray, gamma: np.ndarray)
     """
     from scipy.spatial import cKDTree  # here, to keep the import of the map light
 
-    count, dimensions = hinges.shape
+    count = len(hinges)
     rank = np.random.default_rng(0).permutation(count)  # a random order spreads the error evenly
     candidates = min(2 * NEIGHBOURS + NEIGHBOURS // 2, count)
     near = cKDTree(hinges).query(hinges, candidates)[1].reshape(count, candidates)
@@ -62,31 +64,41 @@ def sparse_factor(diagonal: torch.Tensor, hinges: np.ndarray, gamma: np.ndarray)
     order = np.argsort(~earlier, axis=1, kind="stable")[:, :NEIGHBOURS]
     chosen = np.where(np.take_along_axis(earlier, order, 1), np.take_along_axis(near, order, 1), -1)
     pattern = torch.from_numpy(np.column_stack([chosen, np.arange(count)])).to(diagonal.device)
-    valid = pattern >= 0
     index = pattern.clamp_min(0)
-    places = torch.from_numpy(hinges).to(diagonal.device)[index]  # (H, m, d)
-    width = torch.from_numpy(gamma).to(diagonal.device)[index]  # (H, m)
+    places, width = (torch.from_numpy(a).to(diagonal.device) for a in (hinges, gamma))
+    with Threads(diagonal.device) as threads:
+        rows = threads.map(lambda part: _factor_rows(pattern[part], places, width), threads.split(count))
+    values = torch.cat(rows) * diagonal.rsqrt()[index]
+    by_column = torch.sort(index.reshape(-1), stable=True)
+    counts = torch.bincount(by_column.values, minlength=count)
+    row_index = torch.div(by_column.indices, index.shape[1], rounding_mode="floor")
+    return SparseFactor(
+        columns=index.int(),
+        values=values,
+        row_index=row_index.int(),
+        row_value=values.reshape(-1)[by_column.indices],
+        starts=(counts.cumsum(0) - counts).int(),
+    )
+
+
+def _factor_rows(pattern: torch.Tensor, places: torch.Tensor, gamma: torch.Tensor) -> torch.Tensor:
+    """Rows (n, m) of the factor for correlations: each couples the hinge points of its pattern (n, m).
+
+    pattern: hinge indices, the row's own last, -1 pads; places: (H, d); gamma: (H,).
+    """
+    valid = pattern >= 0
+    places, width = places[pattern.clamp_min(0)], gamma[pattern.clamp_min(0)]  # (n, m, d), (n, m)
     total = width[:, :, None] + width[:, None, :]
     product = width[:, :, None] * width[:, None, :]
     squared = (places[:, :, None] - places[:, None, :]).square().sum(3)
-    local = (2 * product.sqrt() / total) ** (dimensions / 2) * torch.exp(-product / total * squared)
+    local = (2 * product.sqrt() / total) ** (places.shape[2] / 2) * torch.exp(-product / total * squared)
     local = local * (valid[:, :, None] & valid[:, None, :])
     # Padding becomes the identity; the ridge keeps hinge points that coincide apart.
     local.diagonal(dim1=1, dim2=2).add_((~valid).to(local.dtype) + RIDGE)
     factor = torch.linalg.cholesky(local)
-    unit = torch.zeros(count, index.shape[1], 1, device=diagonal.device)
+    unit = torch.zeros(*pattern.shape, 1, device=places.device)
     unit[:, -1, 0] = 1 / factor[:, -1, -1]
     # Last column of the local inverse, scaled to a unit diagonal of G A G^T. Triangular solves only:
     # batched LU is wrong in torch 2.13 with two threads.
     column = torch.linalg.solve_triangular(factor.mT, unit, upper=True)[..., 0]
-    values = column / column[:, -1:].sqrt() * valid * diagonal.rsqrt()[index]
-    by_column = torch.sort(index.reshape(-1), stable=True)
-    counts = torch.bincount(by_column.values, minlength=count)
-    rows = torch.div(by_column.indices, index.shape[1], rounding_mode="floor")
-    return SparseFactor(
-        columns=index.int(),
-        values=values,
-        row_index=rows.int(),
-        row_value=values.reshape(-1)[by_column.indices],
-        starts=(counts.cumsum(0) - counts).int(),
-    )
+    return column / column[:, -1:].sqrt() * valid

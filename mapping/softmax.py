@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 
 import torch
 
-from mapping.kernels import SparseFeatures
+from mapping.kernels import SparseFeatures, SparseRows
 from mapping.preconditioner import SparseFactor
+from mapping.threads import Threads
 
 
 @dataclass(frozen=True)
@@ -53,9 +54,17 @@ def fit_softmax(
     W = G^T U, where G whitens a bound on the Hessian (Böhning 1992): there L-BFGS needs a third of the
     steps. Logits are linear in W, so trying a step length costs an exponential a sample and no product.
     """
-    objective = _Objective(features, targets, sample_weights, offset, l2)
-    W = torch.zeros(len(features.transposed_offsets), len(offset), device=offset.device)
-    logits = offset.expand(len(targets), -1).contiguous()
+    with Threads(offset.device) as threads:
+        objective = _Objective(features, targets, sample_weights, l2, len(offset), threads)
+        return _minimise(objective, offset, coordinates, config)
+
+
+def _minimise(
+    objective: _Objective, offset: torch.Tensor, coordinates: SparseFactor, config: FitConfig
+) -> tuple[torch.Tensor, FitReport]:
+    """L-BFGS from W = 0 with a backtracking line search (Nocedal and Wright, chapters 3 and 7)."""
+    W = torch.zeros(objective.shape, device=offset.device)
+    logits = offset.expand(objective.samples, -1).contiguous()
     loss, residual = objective.loss_and_residual(W, logits)
     gradient = coordinates.pull(objective.gradient(W, residual))
     losses = [loss]
@@ -65,10 +74,11 @@ def fit_softmax(
         step_U = -_inverse_hessian_times(gradient, history)
         slope = float((gradient * step_U).sum())
         direction = coordinates.push(step_U)
-        logits_direction = features.times(direction)
+        logits_direction = objective.logits_of(direction)
         length, trial_loss = 1.0, loss
         for _ in range(12):
-            trial_W, trial_logits = W + length * direction, logits + length * logits_direction
+            trial_W = torch.add(W, direction, alpha=length)
+            trial_logits = torch.add(logits, logits_direction, alpha=length)
             trial_loss, residual = objective.loss_and_residual(trial_W, trial_logits)
             if trial_loss <= loss + 1e-4 * length * slope:
                 break
@@ -92,36 +102,57 @@ def fit_softmax(
 
 
 class _Objective:
-    """The penalised cross-entropy and its gradient, split so that logits are computed once a step."""
+    """The penalised cross-entropy and its gradient, each thread having its share of samples or hinge points.
+
+    Split so that logits are computed once a step.
+    """
 
     def __init__(
         self,
         features: SparseFeatures,
         targets: torch.Tensor,
         weights: torch.Tensor,
-        offset: torch.Tensor,
         l2: float,
+        classes: int,
+        threads: Threads,
     ):
-        self.features, self.weights, self.l2 = features, weights, l2
         if targets.ndim == 1:
-            targets = torch.nn.functional.one_hot(targets, len(offset)).to(offset.dtype)
+            targets = torch.nn.functional.one_hot(targets, classes).float()
+        self.samples = len(weights)
+        self.shape = len(features.transposed.offsets), classes
+        self.weights, self.l2, self.threads = weights, l2, threads
         self.weighted_targets = targets * weights[:, None]
+        self.by_sample = [(rows, features.rows.part(rows)) for rows in threads.split(self.samples)]
+        self.by_hinge = [(rows, features.transposed.part(rows)) for rows in threads.split(self.shape[0])]
+
+    def logits_of(self, W: torch.Tensor) -> torch.Tensor:
+        """Phi W: (H, C) -> (N, C)."""
+        return torch.cat(self.threads.map(lambda piece: piece[1].times(W), self.by_sample))
 
     def loss_and_residual(self, W: torch.Tensor, logits: torch.Tensor) -> tuple[float, torch.Tensor]:
-        # Without the row maximum float32 overflows past 88; the shift is rarely needed, so it is conditional.
-        if float(logits.abs().max()) > 60.0:
-            logits = logits - logits.amax(1, keepdim=True)
-        p = logits.exp()
-        total = p.sum(1)
-        data = torch.dot(self.weights, total.log()) - torch.dot(
-            self.weighted_targets.view(-1), logits.view(-1)
-        )
-        penalty = 0.5 * self.l2 * torch.dot(W.view(-1), W.view(-1))
-        residual = p.mul_((self.weights / total)[:, None]).sub_(self.weighted_targets)
-        return float(data + penalty), residual
+        """The objective and its derivative by the logits (N, C)."""
+        residual = torch.empty_like(logits)
+
+        def cross_entropy(piece: tuple[slice, SparseRows]) -> float:
+            rows = piece[0]
+            part, weights, targets = logits[rows], self.weights[rows], self.weighted_targets[rows]
+            # Without the row maximum float32 overflows past 88; it is rarely needed, so it is conditional.
+            low, high = torch.aminmax(part)
+            if max(-float(low), float(high)) > 60.0:
+                part = part - part.amax(1, keepdim=True)
+            p = torch.exp(part, out=residual[rows])
+            total = p.sum(1)
+            loss = torch.dot(weights, total.log()) - torch.dot(targets.view(-1), part.view(-1))
+            p.mul_((weights / total)[:, None]).sub_(targets)
+            return float(loss)
+
+        penalty = 0.5 * self.l2 * float(torch.dot(W.view(-1), W.view(-1)))
+        return sum(self.threads.map(cross_entropy, self.by_sample)) + penalty, residual
 
     def gradient(self, W: torch.Tensor, residual: torch.Tensor) -> torch.Tensor:
-        return self.features.transpose_times(residual).add_(W, alpha=self.l2)
+        """The objective's derivative by W (H, C)."""
+        parts = self.threads.map(lambda piece: piece[1].times(residual), self.by_hinge)
+        return torch.cat(parts).add_(W, alpha=self.l2)
 
 
 def _inverse_hessian_times(
