@@ -22,7 +22,7 @@ from tools.reproduce.hinges import HingesConfig, run_hinges
 from tools.reproduce.landscape import LANDSCAPES, PAPER_LOGS, Landscape, load_log, split_log
 from tools.reproduce.occupancy import run_occupancy
 from tools.reproduce.occupancy_methods import METHODS, OccupancyConfig, share_occupied
-from tools.reproduce.runs import cached_run, markdown_table, timed
+from tools.reproduce.runs import cached_run, markdown_table, seconds, timed
 from tools.reproduce.toy import METHODS as TOY_METHODS
 from tools.reproduce.toy import ToyStudyConfig, run_toy
 
@@ -89,7 +89,7 @@ def test_occupancy_writes_table_figures_and_keys(room_log):
     assert summary["corrupt_lines"] == {"room": 1}
     for method in METHODS:
         found = summary["logs"]["room"][method]
-        assert set(found["auc"]) == {"mean", "std"}
+        assert set(found["auc"]) == {"mean", "std", "median"}
         assert found["auc"]["mean"] > 0.95
         assert found["train_s"]["mean"] > 0
         assert found["infer_s"]["mean"] > 0
@@ -192,6 +192,15 @@ def test_cached_run_refuses_a_broken_file(tmp_path):
 
 def test_share_occupied_ignores_the_uncertain_class():
     np.testing.assert_allclose(share_occupied(np.array([[0.1, 0.3, 0.6], [0.0, 0.0, 1.0]])), [0.75, 0.0])
+
+
+def test_seconds_have_three_figures():
+    assert [seconds(value) for value in (0.00123456, 0.5, 41.337, 1234.5)] == [
+        "0.00123",
+        "0.5",
+        "41.3",
+        "1230",
+    ]
 
 
 def test_markdown_table():

@@ -64,7 +64,8 @@ def occupancy(
         data: Folder of CARMEN logs, such as intel-corrected.log.gz.
         out: Folder for runs, table and figures; a command that was cut off goes on there.
         logs: belgioioso, edmonton, fhw, intel, mexico, aces, orebro, seattle; all when left out.
-        methods: hilbert, contramap, bayesian_hilbert; all when left out.
+        methods: hilbert, contramap, bayesian_hilbert, and bayesian_hilbert_merged, which learns from merged
+            samples as the first two do; all when left out.
         seed: First seed.
         repeats: Number of seeds.
         held_out_run: Consecutive scans that are held out together; 1 splits at random.

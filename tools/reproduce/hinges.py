@@ -21,6 +21,7 @@ from tools.reproduce.runs import (
     check_choices,
     markdown_table,
     save_figure,
+    seconds,
     summarise,
     timed,
 )
@@ -110,8 +111,8 @@ def hinges_table(summary: dict[str, Any]) -> str:
             TITLES[method],
             count,
             f"{figures['auc']['mean']:.4f} ± {figures['auc']['std']:.4f}",
-            f"{figures['train_cpu_s']['mean']:.2f}",
-            f"{figures['infer_cpu_s']['mean']:.3f}",
+            seconds(figures["train_cpu_s"]["median"]),
+            seconds(figures["infer_cpu_s"]["median"]),
         ]
         for method, counts in summary["methods"].items()
         for count, figures in counts.items()
@@ -164,7 +165,7 @@ def _draw(path: Path, summary: dict[str, Any]) -> None:
     for axis, (key, label) in zip(axes, panels.items()):
         for method, counts in summary["methods"].items():
             numbers = [int(count) for count in counts]
-            values = [figures[key]["mean"] for figures in counts.values()]
+            values = [figures[key]["mean" if key == "auc" else "median"] for figures in counts.values()]
             axis.plot(numbers, values, "o-", markersize=4, label=TITLES[method])
         axis.set(
             xscale="log", xlabel="hinge points", ylabel=label, yscale="linear" if key == "auc" else "log"

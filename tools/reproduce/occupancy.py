@@ -14,7 +14,7 @@ from tools.evaluation.statistics import auroc
 from tools.options import write_json
 from tools.reproduce.landscape import LANDSCAPES, OCCUPIED, Landscape, Split, load_log, split_log
 from tools.reproduce.occupancy_methods import METHODS, TITLES, OccupancyConfig, OccupancyMap, fit_method
-from tools.reproduce.runs import cached_run, check_choices, markdown_table, summarise, timed
+from tools.reproduce.runs import cached_run, check_choices, markdown_table, seconds, summarise, timed
 
 KEYS = ("auc", "train_s", "infer_s", "train_cpu_s", "infer_cpu_s")
 """Figures of a run. Processor seconds compare methods fairly on a machine that others use too."""
@@ -137,7 +137,8 @@ def _log_runs(
 def occupancy_table(summary: dict[str, Any]) -> str:
     """The paper's table from a summary, with the paper's own AUC beside ours, in markdown.
 
-    Times are processor seconds, wall-clock seconds in brackets; ratios are of processor seconds.
+    Times are medians over the seeds: processor seconds, wall-clock seconds in brackets; ratios are of
+    processor seconds.
     """
     rows = []
     for name, methods in summary["logs"].items():
@@ -145,10 +146,9 @@ def occupancy_table(summary: dict[str, Any]) -> str:
         published = dict(zip(METHODS, PAPER_AUC[name]))
         for method, found in methods.items():
             auc = found["auc"]
+            times = {key: found[key]["median"] for key in KEYS if key != "auc"}
             ratios = [
-                f"{bayesian[key]['mean'] / found[key]['mean']:.0f}x"
-                if bayesian and bayesian is not found
-                else ""
+                f"{bayesian[key]['median'] / times[key]:.0f}x" if bayesian and bayesian is not found else ""
                 for key in ("train_cpu_s", "infer_cpu_s")
             ]
             rows.append(
@@ -157,9 +157,9 @@ def occupancy_table(summary: dict[str, Any]) -> str:
                     TITLES[method],
                     f"{auc['mean']:.4f} ± {auc['std']:.4f}",
                     f"{published[method]:.4f}" if method in published else "",
-                    f"{found['train_cpu_s']['mean']:.2f} ({found['train_s']['mean']:.2f})",
+                    f"{seconds(times['train_cpu_s'])} ({seconds(times['train_s'])})",
                     ratios[0],
-                    f"{found['infer_cpu_s']['mean']:.3f} ({found['infer_s']['mean']:.3f})",
+                    f"{seconds(times['infer_cpu_s'])} ({seconds(times['infer_s'])})",
                     ratios[1],
                 ]
             )

@@ -69,14 +69,23 @@ def timed(
     return result, {key: float(np.median([found[key] for found in repeats])) for key in repeats[0]}
 
 
-def mean_std(values: Sequence[float]) -> dict[str, float]:
-    """{"mean", "std"} of the values; the spread of one value is 0."""
-    return {"mean": float(np.mean(values)), "std": float(np.std(values))}
+def spread(values: Sequence[float]) -> dict[str, float]:
+    """{"mean", "std", "median"} of the values; the std of one value is 0."""
+    return {
+        "mean": float(np.mean(values)),
+        "std": float(np.std(values)),
+        "median": float(np.median(values)),
+    }
 
 
 def summarise(runs: Sequence[dict[str, float]], keys: Sequence[str]) -> dict[str, dict[str, float]]:
-    """mean_std of each key over the runs."""
-    return {key: mean_std([run[key] for run in runs]) for key in keys}
+    """The spread of each key over the runs."""
+    return {key: spread([run[key] for run in runs]) for key in keys}
+
+
+def seconds(value: float) -> str:
+    """A time [s] with three figures, never in powers of ten."""
+    return np.format_float_positional(value, precision=3, fractional=False, trim="-")
 
 
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
