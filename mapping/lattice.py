@@ -15,8 +15,9 @@ from mapping.kernels import reach
 
 CUTOFF = 1e-5
 """Hinge points whose features stay below this in a block are left out."""
-BLOCK = 32
-"""Nodes a side of the blocks a lattice is evaluated in; small blocks see few hinge points."""
+BLOCK = 32**3
+"""Nodes of the blocks a lattice is evaluated in: 32 a side in space, 181 in the plane. Small blocks see few
+hinge points, but each costs some calls."""
 LARGEST_FILL = 64
 """Scattered hinge points are not put on a lattice that has more than this many cells a hinge point."""
 
@@ -41,11 +42,12 @@ class LatticeEvaluator:
         """Logits (C, *lattice) at every node of the lattice spanned by d coordinate arrays."""
         axes = [np.asarray(axis, np.float32) for axis in axes]
         shape = [len(axis) for axis in axes]
-        if max(shape) <= BLOCK:
+        side = round(BLOCK ** (1 / len(shape)))
+        if max(shape) <= side:
             return self._block(axes)
         out = self.offset.new_empty(len(self.offset), *shape)
-        for corner in np.ndindex(*(-(-n // BLOCK) for n in shape)):
-            window = [slice(c * BLOCK, (c + 1) * BLOCK) for c in corner]
+        for corner in np.ndindex(*(-(-n // side) for n in shape)):
+            window = [slice(c * side, (c + 1) * side) for c in corner]
             out[(slice(None), *window)] = self._block([a[w] for a, w in zip(axes, window)])
         return out
 

@@ -7,6 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
+LARGEST_TABLE = 8
+"""Samples are merged by sorting when there are more cells than this a sample."""
+
 
 def voxel_subsample(points: np.ndarray, size: float, rng: np.random.Generator | None = None) -> np.ndarray:
     """Indices (M,) of one point a voxel of `size`: the first one, or a random one when `rng` is given."""
@@ -18,6 +21,30 @@ def voxel_subsample(points: np.ndarray, size: float, rng: np.random.Generator | 
         return np.sort(np.unique(key, return_index=True)[1])
     shuffled = rng.permutation(len(points))
     return np.sort(shuffled[np.unique(key[shuffled], return_index=True)[1]])
+
+
+def merge_in_cells(
+    points: np.ndarray, classes: np.ndarray, weights: np.ndarray, size: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One weighted sample for all of a class in a cubic cell of `size`: at their mean, with their sum.
+
+    points: (N, d); classes: (N,) int >= 0; weights: (N,) > 0. Returns points (M, d) float64, classes (M,) and
+    weights (M,), M <= N. The weighted sum of a function over the samples changes only by its curvature within
+    a cell: an error of second order in the size over the function's length scale.
+    """
+    if len(points) == 0:
+        return np.empty(points.shape), np.empty(0, np.int64), np.empty(0)
+    cells = [np.floor((axis - axis.min()) / size).astype(np.int32) for axis in points.T]
+    extent = [int(classes.max()) + 1, *(int(cell.max()) + 1 for cell in cells)]
+    key = np.ravel_multi_index((classes, *cells), extent)
+    if np.prod(extent, dtype=float) > LARGEST_TABLE * len(points):
+        filled, key = np.unique(key, return_inverse=True)
+        chosen = np.arange(len(filled))
+    else:  # counting in a table is several times faster than sorting
+        filled = chosen = np.flatnonzero(np.bincount(key))
+    total = np.bincount(key, weights)[chosen]
+    sums = [np.bincount(key, weights * axis)[chosen] for axis in points.T]
+    return np.stack(sums, axis=1) / total[:, None], filled // np.prod(extent[1:]), total
 
 
 def shift_along_rays(origin: np.ndarray, points: np.ndarray, distance: float) -> np.ndarray:

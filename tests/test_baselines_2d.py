@@ -207,6 +207,23 @@ def test_bayesian_hilbert_variance_falls_with_every_batch(moons):
     assert (np.diff(traces) < 0).all()
 
 
+def test_bayesian_hilbert_weight_counts_repeated_observations(moons):
+    X, y = moons.X[::6], moons.y[::6]
+    repeats = np.random.default_rng(3).integers(1, 4, len(X))
+    fits = [
+        BayesianHilbertMap(BayesianHilbertConfig(gamma=4.0)).fit(
+            *data, HINGES, np.random.default_rng(0), **weights
+        )
+        for data, weights in [
+            ((X, y), {"weights": repeats}),
+            ((np.repeat(X, repeats, axis=0), np.repeat(y, repeats)), {}),
+        ]
+    ]
+    np.testing.assert_allclose(*(fit.latent(moons.X_test)[0] for fit in fits), rtol=1e-2, atol=1e-2)
+    with pytest.raises(DataError, match="weights"):
+        BayesianHilbertMap().fit(X, y, HINGES, np.random.default_rng(0), weights=np.zeros(len(X)))
+
+
 def test_bayesian_hilbert_is_binary(moons):
     with pytest.raises(DataError, match="binary"):
         BayesianHilbertMap().fit(moons.X[:3], np.array([0, 1, 2]), HINGES, np.random.default_rng(0))

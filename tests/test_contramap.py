@@ -56,6 +56,17 @@ def test_point_dense_and_lattice_evaluation_agree(fitted):
     np.testing.assert_allclose(at_points, fitted.predict_lattice(axes).reshape(-1, CLASSES), atol=1e-4)
 
 
+def test_a_lattice_larger_than_a_block_agrees_with_points():
+    rng = np.random.default_rng(0)
+    hinges = np.stack(np.meshgrid(np.arange(20.0), np.arange(9.0), indexing="ij"), -1).reshape(-1, 2)
+    X = rng.uniform(-1, [20, 9], (3000, 2))
+    fitted = ContraMap(MapConfig(gamma=1.5)).fit(X, (X[:, 0] > 10).astype(int), hinges=hinges, classes=3)
+    axes = (np.linspace(-3, 22, 400), np.linspace(-2, 10, 50))
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
+    expected = fitted.predict_proba(points).reshape(400, 50, 3)
+    np.testing.assert_allclose(fitted.predict_lattice(axes), expected, atol=2e-5)
+
+
 def test_sparse_features_agree_with_dense(data):
     from mapping.kernels import sparse_features
 

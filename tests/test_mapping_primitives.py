@@ -8,7 +8,14 @@ from hypothesis import strategies as st
 
 from mapping.hinges import lattice_in_box, lattice_near_centres, lattice_near_points, random_subset
 from mapping.preconditioner import NEIGHBOURS, sparse_factor
-from mapping.samples import along_rays, jittered_lattice, shift_along_rays, voxel_subsample, within
+from mapping.samples import (
+    along_rays,
+    jittered_lattice,
+    merge_in_cells,
+    shift_along_rays,
+    voxel_subsample,
+    within,
+)
 from mapping.threads import map_in_threads
 
 
@@ -52,6 +59,42 @@ def test_voxel_subsample_keeps_one_point_a_voxel(count, size, seed):
     kept = voxel_subsample(points, size, np.random.default_rng(seed))
     cells = np.floor((points - points.min(0)) / size).astype(int)
     assert len(np.unique(cells[kept], axis=0)) == len(kept) == len(np.unique(cells, axis=0))
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(1, 200), st.integers(1, 3), st.floats(0.001, 0.5), st.integers(0, 9))
+def test_merging_keeps_each_class_s_weight_and_mean(count, dimensions, size, seed):
+    # The smallest sizes have far more cells than samples and are merged by sorting, the others in a table.
+    rng = np.random.default_rng(seed)
+    points, classes = rng.uniform(0, 1, (count, dimensions)), rng.integers(0, 3, count)
+    weights = rng.uniform(0.1, 1, count)
+    X, y, w = merge_in_cells(points, classes, weights, size)
+    assert w.min() > 0
+    for label in range(3):
+        ours, given = y == label, classes == label
+        np.testing.assert_allclose(w[ours].sum(), weights[given].sum())
+        np.testing.assert_allclose(w[ours] @ X[ours], weights[given] @ points[given], atol=1e-9)
+    cells = np.column_stack([classes, np.floor((points - points.min(0)) / size).astype(int)])
+    assert len(X) == len(np.unique(cells, axis=0))
+
+
+def test_merging_changes_smooth_sums_in_second_order_only():
+    rng = np.random.default_rng(0)
+    points = rng.normal(0, 1, (20_000, 2))
+
+    def error(size: float) -> float:
+        X, _, w = merge_in_cells(points, np.zeros(len(points), int), np.ones(len(points)), size)
+        exact, merged = np.exp(-0.5 * (points**2).sum(1)).mean(), w @ np.exp(-0.5 * (X**2).sum(1)) / w.sum()
+        return abs(merged - exact) / exact
+
+    assert error(0.35) < 0.01
+    assert error(0.35) / error(0.7) == pytest.approx(0.25, rel=0.2)
+
+
+def test_merging_nothing_gives_nothing():
+    X, y, w = merge_in_cells(np.empty((0, 2)), np.empty(0, int), np.empty(0), 0.1)
+    assert X.shape == (0, 2)
+    assert len(y) == len(w) == 0
 
 
 def test_shift_along_rays_moves_along_the_ray():

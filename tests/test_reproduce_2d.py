@@ -20,8 +20,9 @@ from sim_scenes.toy2d import ToyConfig
 from tools.reproduce import landscape as landscape_module
 from tools.reproduce.hinges import HingesConfig, run_hinges
 from tools.reproduce.landscape import LANDSCAPES, PAPER_LOGS, Landscape, load_log, split_log
-from tools.reproduce.occupancy import METHODS, OccupancyConfig, run_occupancy, share_occupied
-from tools.reproduce.runs import cached_run, markdown_table
+from tools.reproduce.occupancy import run_occupancy
+from tools.reproduce.occupancy_methods import METHODS, OccupancyConfig, share_occupied
+from tools.reproduce.runs import cached_run, markdown_table, seconds, timed
 from tools.reproduce.toy import METHODS as TOY_METHODS
 from tools.reproduce.toy import ToyStudyConfig, run_toy
 
@@ -88,7 +89,7 @@ def test_occupancy_writes_table_figures_and_keys(room_log):
     assert summary["corrupt_lines"] == {"room": 1}
     for method in METHODS:
         found = summary["logs"]["room"][method]
-        assert set(found["auc"]) == {"mean", "std"}
+        assert set(found["auc"]) == {"mean", "std", "median"}
         assert found["auc"]["mean"] > 0.95
         assert found["train_s"]["mean"] > 0
         assert found["infer_s"]["mean"] > 0
@@ -109,6 +110,24 @@ def test_occupancy_resumes_and_notices_other_settings(room_log):
     assert run.stat().st_mtime_ns == written  # a setting of another method
     run_occupancy(room_log, out, ("room",), ("contramap",), (0,), replace(config, noise_weight=0.5))
     assert run.stat().st_mtime_ns > written
+
+
+def test_merged_samples_give_nearly_the_same_map(room_log):
+    every = OccupancyConfig(query_per_hinge=2, merge_data=0.0, merge_noise=0.0)
+    drawn = {}
+    for name, config in {"every": every, "merged": OccupancyConfig(query_per_hinge=2)}.items():
+        run_occupancy(room_log, room_log / name, ("room",), ("contramap",), (0,), config)
+        with np.load(room_log / name / "runs" / "room-contramap-0.npz") as stored:
+            drawn[name] = stored["probabilities"].astype(float)
+    assert np.abs(drawn["every"] - drawn["merged"]).mean() < 0.02
+
+
+def test_timed_repeats_what_is_quick_and_keeps_the_result():
+    calls: list[int] = []
+    result, figures = timed("add", lambda: calls.append(1) or len(calls), least_s=60.0, most=4)
+    assert result == len(calls) == 4
+    assert set(figures) == {"add_s", "add_cpu_s"}
+    assert timed("once", lambda: 7, least_s=0.0)[0] == 7
 
 
 def test_contramap_is_uncertain_outside_the_room_only(room_log):
@@ -173,6 +192,15 @@ def test_cached_run_refuses_a_broken_file(tmp_path):
 
 def test_share_occupied_ignores_the_uncertain_class():
     np.testing.assert_allclose(share_occupied(np.array([[0.1, 0.3, 0.6], [0.0, 0.0, 1.0]])), [0.75, 0.0])
+
+
+def test_seconds_have_three_figures():
+    assert [seconds(value) for value in (0.00123456, 0.5, 41.337, 1234.5)] == [
+        "0.00123",
+        "0.5",
+        "41.3",
+        "1230",
+    ]
 
 
 def test_markdown_table():

@@ -54,20 +54,25 @@ class BayesianHilbertMap:
         hinges: np.ndarray,
         rng: np.random.Generator,
         progress: Callable[[int, int], None] = lambda done, total: None,
+        weights: np.ndarray | None = None,
     ) -> Self:
         """Update the prior with points X (N, d) and labels y (N,), 0 free and 1 occupied, in random order.
 
-        hinges: (H, d). progress is called with the batches done and their total.
+        hinges: (H, d). progress is called with the batches done and their total. weights: (N,) > 0, how many
+        observations a point stands for; 1 when left out.
         """
         X, y, classes = check_labelled_points(X, y)
         if classes != 2:
             raise DataError(f"the Bayesian Hilbert map is binary, got {classes} classes")
+        weights = np.ones(len(X)) if weights is None else np.asarray(weights, np.float64)
+        if weights.shape != y.shape or not (weights > 0).all():
+            raise DataError(f"weights must be {len(X)} numbers > 0, got shape {weights.shape}")
         self.hinges = np.asarray(hinges, np.float32)
         self.precision = self.config.prior_precision * np.eye(len(hinges), order="F")
         self._information = np.zeros(len(hinges))
         batches = np.array_split(rng.permutation(len(X)), -(-len(X) // self.config.batch))
         for done, batch in enumerate(batches, start=1):
-            self._update(X[batch], y[batch])
+            self._update(X[batch], y[batch], weights[batch])
             progress(done, len(batches))
         return self
 
@@ -87,15 +92,15 @@ class BayesianHilbertMap:
         p = expit(mean / np.sqrt(1.0 + np.pi / 8.0 * variance))
         return np.stack([1.0 - p, p], axis=1)
 
-    def _update(self, X: np.ndarray, y: np.ndarray) -> None:
+    def _update(self, X: np.ndarray, y: np.ndarray, weights: np.ndarray) -> None:
         prior, xi = self.precision, np.ones(len(X))
         for rows, phi in self._features(X):
-            self._information += phi.T @ (y[rows] - 0.5)
+            self._information += phi.T @ (weights[rows] * (y[rows] - 0.5))
         for iteration in range(self.config.iterations):
             if iteration:
                 mean, variance = self.latent(X)
                 xi = np.sqrt(variance + mean**2)
-            curvature = (expit(xi) - 0.5) / xi  # 2 lambda(xi)
+            curvature = weights * (expit(xi) - 0.5) / xi  # 2 lambda(xi), once for each observation
             scatter = np.zeros(prior.shape, np.float32, order="F")
             for rows, phi in self._features(X):
                 phi *= np.sqrt(curvature[rows, None])

@@ -64,7 +64,8 @@ def occupancy(
         data: Folder of CARMEN logs, such as intel-corrected.log.gz.
         out: Folder for runs, table and figures; a command that was cut off goes on there.
         logs: belgioioso, edmonton, fhw, intel, mexico, aces, orebro, seattle; all when left out.
-        methods: hilbert, contramap, bayesian_hilbert; all when left out.
+        methods: hilbert, contramap, bayesian_hilbert, and bayesian_hilbert_merged, which learns from merged
+            samples as the first two do; all when left out.
         seed: First seed.
         repeats: Number of seeds.
         held_out_run: Consecutive scans that are held out together; 1 splits at random.
@@ -72,7 +73,8 @@ def occupancy(
         json: Also write the figures to this file.
     """
     from tools.reproduce.landscape import LANDSCAPES
-    from tools.reproduce.occupancy import METHODS, OccupancyConfig, occupancy_table, run_occupancy
+    from tools.reproduce.occupancy import occupancy_table, run_occupancy
+    from tools.reproduce.occupancy_methods import METHODS, OccupancyConfig
 
     config = OccupancyConfig(held_out_run=held_out_run)
     summary = run_occupancy(

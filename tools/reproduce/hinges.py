@@ -13,20 +13,17 @@ from mapping.deep_map import DeepMap, DeepMapConfig
 from tools.evaluation.statistics import auroc
 from tools.options import write_json
 from tools.reproduce.landscape import LANDSCAPES, OCCUPIED, Landscape, Split, load_log, split_log
-from tools.reproduce.occupancy import (
-    KEYS,
-    OccupancyConfig,
-    measure,
-    share_occupied,
-    with_noise,
-)
+from tools.reproduce.occupancy import KEYS, measure
+from tools.reproduce.occupancy_methods import OccupancyConfig, share_occupied, with_noise
 from tools.reproduce.runs import (
     Stopwatch,
     cached_run,
     check_choices,
     markdown_table,
     save_figure,
+    seconds,
     summarise,
+    timed,
 )
 
 TITLES = {
@@ -114,8 +111,8 @@ def hinges_table(summary: dict[str, Any]) -> str:
             TITLES[method],
             count,
             f"{figures['auc']['mean']:.4f} ± {figures['auc']['std']:.4f}",
-            f"{figures['train_cpu_s']['mean']:.2f}",
-            f"{figures['infer_cpu_s']['mean']:.3f}",
+            seconds(figures["train_cpu_s"]["median"]),
+            seconds(figures["infer_cpu_s"]["median"]),
         ]
         for method, counts in summary["methods"].items()
         for count, figures in counts.items()
@@ -133,22 +130,20 @@ def _settings(method: str, config: HingesConfig) -> dict[str, Any]:
 def _measure(
     method: str, split: Split, landscape: Landscape, config: HingesConfig, seed: int
 ) -> dict[str, float]:
-    rng = np.random.default_rng([seed, 1])
     axes = query_axes(landscape, config.query_step)
     if method in ("contramap_0", "bayesian_hilbert"):
         name = "contramap" if method == "contramap_0" else method
-        return measure(name, split, landscape, config.occupancy, rng, axes)[0]
+        return measure(name, split, landscape, config.occupancy, seed, axes)[0]
     network = asdict(config.network) | {
         "hidden_layers": int(method[-1]),
         "gamma": landscape.gamma(config.occupancy.kernel_width),
     }
     X, y, weights = with_noise(split, config.occupancy.noise_weight)
+    rng = np.random.default_rng([seed, 1])
     train = Stopwatch()
     model = DeepMap(DeepMapConfig(**network)).fit(X, y, landscape.hinges, rng, weights)
     figures = train.figures("train")
-    infer = Stopwatch()
-    model.predict_lattice(axes)
-    figures |= infer.figures("infer")
+    figures |= timed("infer", lambda: model.predict_lattice(axes))[1]
     auc = auroc(share_occupied(model.predict_proba(split.X_test)), split.y_test == OCCUPIED)
     return {"auc": auc, **figures}
 
@@ -170,7 +165,7 @@ def _draw(path: Path, summary: dict[str, Any]) -> None:
     for axis, (key, label) in zip(axes, panels.items()):
         for method, counts in summary["methods"].items():
             numbers = [int(count) for count in counts]
-            values = [figures[key]["mean"] for figures in counts.values()]
+            values = [figures[key]["mean" if key == "auc" else "median"] for figures in counts.values()]
             axis.plot(numbers, values, "o-", markersize=4, label=TITLES[method])
         axis.set(
             xscale="log", xlabel="hinge points", ylabel=label, yscale="linear" if key == "auc" else "log"

@@ -12,7 +12,7 @@ from tools.reproduce.runs import save_figure
 
 def draw_maps(out: Path, log: str, landscape: Landscape, methods: tuple[str, ...], seed: int) -> None:
     """Write out/<log>_methods.png and, where ContraMap ran, out/<log>_classes.png from the runs' maps."""
-    from tools.reproduce.occupancy import TITLES, share_occupied
+    from tools.reproduce.occupancy_methods import TITLES, share_occupied
 
     maps = {}
     for method in methods:

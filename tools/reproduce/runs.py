@@ -6,13 +6,15 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from mapping.errors import ConfigError, DataError
 from reconstruction.atomic import temporary_beside
 from tools.options import write_json
+
+T = TypeVar("T")
 
 LARGE_FIGURE = 200_000
 """A figure above this size [bytes] is written with a palette."""
@@ -51,14 +53,39 @@ class Stopwatch:
         }
 
 
-def mean_std(values: Sequence[float]) -> dict[str, float]:
-    """{"mean", "std"} of the values; the spread of one value is 0."""
-    return {"mean": float(np.mean(values)), "std": float(np.std(values))}
+def timed(
+    name: str, compute: Callable[[], T], least_s: float = 1.0, most: int = 9
+) -> tuple[T, dict[str, float]]:
+    """compute()'s result and its Stopwatch figures: medians of repeats until `least_s` [s] or `most` repeats.
+
+    One call of some milliseconds would mostly show what else the machine did.
+    """
+    repeats: list[dict[str, float]] = []
+    whole = time.perf_counter()
+    while not repeats or (len(repeats) < most and time.perf_counter() - whole < least_s):
+        watch = Stopwatch()
+        result = compute()
+        repeats.append(watch.figures(name))
+    return result, {key: float(np.median([found[key] for found in repeats])) for key in repeats[0]}
+
+
+def spread(values: Sequence[float]) -> dict[str, float]:
+    """{"mean", "std", "median"} of the values; the std of one value is 0."""
+    return {
+        "mean": float(np.mean(values)),
+        "std": float(np.std(values)),
+        "median": float(np.median(values)),
+    }
 
 
 def summarise(runs: Sequence[dict[str, float]], keys: Sequence[str]) -> dict[str, dict[str, float]]:
-    """mean_std of each key over the runs."""
-    return {key: mean_std([run[key] for run in runs]) for key in keys}
+    """The spread of each key over the runs."""
+    return {key: spread([run[key] for run in runs]) for key in keys}
+
+
+def seconds(value: float) -> str:
+    """A time [s] with three figures, never in powers of ten."""
+    return np.format_float_positional(value, precision=3, fractional=False, trim="-")
 
 
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
