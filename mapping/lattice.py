@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from mapping.kernels import reach
+from mapping.threads import Threads
 
 CUTOFF = 1e-5
 """Hinge points whose features stay below this in a block are left out."""
@@ -46,9 +47,13 @@ class LatticeEvaluator:
         if max(shape) <= side:
             return self._block(axes)
         out = self.offset.new_empty(len(self.offset), *shape)
-        for corner in np.ndindex(*(-(-n // side) for n in shape)):
+
+        def fill(corner: tuple[int, ...]) -> None:
             window = [slice(c * side, (c + 1) * side) for c in corner]
             out[(slice(None), *window)] = self._block([a[w] for a, w in zip(axes, window)])
+
+        with Threads(out.device) as threads:
+            threads.map(fill, np.ndindex(*(-(-n // side) for n in shape)))
         return out
 
     def _block(self, axes: Axes) -> torch.Tensor:
