@@ -210,6 +210,10 @@ METHODS: dict[str, Method] = {
 }
 
 
+SEEDLESS = frozenset({"tsdf"})
+"""Methods whose fit draws nothing: one fit serves all seeds, which only draw the points of the metrics."""
+
+
 def method(name: str) -> Method:
     """A method by name; ConfigError lists the valid ones."""
     if name not in METHODS:
