@@ -153,7 +153,9 @@ def test_distance_to_samples() -> None:
     np.testing.assert_allclose(distance_to_samples(np.array([[0.25, 0, 0], [1, 0, 2]]), samples), [0.25, 2])
 
 
-@pytest.mark.parametrize("name", ["contramap", "contramap-paper", "hilbert", "vprism", "bayesian-hilbert"])
+@pytest.mark.parametrize(
+    "name", ["contramap", "contramap-paper", "hilbert", "vprism", "vprism-dense", "bayesian-hilbert"]
+)
 def test_every_map_finds_the_objects(case: Case, name: str) -> None:
     fitted = METHODS[name](case.observation, case.space, np.random.default_rng(0))
     points = np.concatenate([item.points[::50] for item in case.observation.objects])

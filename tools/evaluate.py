@@ -38,7 +38,7 @@ def evaluate(
         scenes: Folder made by `contramap scenes`.
         out: Folder for results.jsonl, summary.json, table.md, figures and report.html.
         methods: contramap (preset tabletop), contramap-paper, hilbert, bayesian-hilbert, vprism,
-            vprism-bound (alpha as the bound has it), tsdf.
+            vprism-dense (no feature dropped: for its time), vprism-bound (alpha as the bound has it), tsdf.
         seeds: Seeds of every method's own sampling.
         limit: Only the first scenes.
         engine: local (processes of this machine) or ray (a cluster; needs the extra `cluster`).
