@@ -3,48 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
 from mapping.errors import DataError
+from reconstruction.solid import Solid
 
 SURFACE_SAMPLES = 10_000
 """Points drawn on a mesh to compare it with another."""
-OCCUPANCY_RAYS = 3
-"""Rays that vote on inside or outside: scans touch themselves along edges, where one ray may miscount."""
-
-
-def raycasting_scene(mesh: trimesh.Trimesh) -> Any:
-    """An open3d RaycastingScene that holds the mesh."""
-    import open3d
-
-    if len(mesh.faces) == 0:
-        raise DataError("the mesh has no triangles")
-    scene = open3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        open3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.vertices, np.float32)),
-        open3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.faces, np.uint32)),
-    )
-    return scene
 
 
 def inside(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
     """Which points (..., 3) [m] lie inside a closed mesh: (...) bool."""
-    import open3d
-
-    query = open3d.core.Tensor.from_numpy(np.ascontiguousarray(points, np.float32))
-    return raycasting_scene(mesh).compute_occupancy(query, nsamples=OCCUPANCY_RAYS).numpy() > 0.5
+    return Solid(mesh).inside(points)
 
 
 def distance_to_surface(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
     """Distance [m] of points (..., 3) to the nearest point of the mesh's surface: (...) float32."""
-    import open3d
-
-    query = open3d.core.Tensor.from_numpy(np.ascontiguousarray(points, np.float32))
-    return raycasting_scene(mesh).compute_distance(query).numpy()
+    return Solid(mesh).distance(points)
 
 
 def grid_around(center: np.ndarray, extent: float = 0.4, spacing: float = 0.015) -> np.ndarray:
@@ -80,9 +58,19 @@ def sample_surface(mesh: trimesh.Trimesh, count: int, rng: np.random.Generator) 
     return (1 - u) * chosen[:, 0] + u * (1 - v) * chosen[:, 1] + u * v * chosen[:, 2]
 
 
+def mutual_distances(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance [m] from each point of a (N, 3) to the nearest of b (M, 3), and the other way: (N,), (M,)."""
+    return _nearest(a, b), _nearest(b, a)
+
+
+def chamfer_of_distances(distances: tuple[np.ndarray, np.ndarray]) -> float:
+    """Chamfer distance [m] from `mutual_distances`: the sum of both means, unsquared."""
+    return float(distances[0].mean() + distances[1].mean())
+
+
 def chamfer_of_points(a: np.ndarray, b: np.ndarray) -> float:
     """Mean nearest distance from a (N, 3) to b (M, 3) plus that from b to a [m], unsquared."""
-    return float(_nearest(a, b).mean() + _nearest(b, a).mean())
+    return chamfer_of_distances(mutual_distances(a, b))
 
 
 def chamfer(
@@ -95,11 +83,16 @@ def chamfer(
     return chamfer_of_points(sample_surface(mesh_a, samples, rng), sample_surface(mesh_b, samples, rng))
 
 
+def fscore_of_distances(distances: tuple[np.ndarray, np.ndarray], threshold: float) -> float:
+    """F-score from `mutual_distances` of predicted and true points: the harmonic mean of the shares of
+    both within `threshold` [m]."""
+    precision, recall = (float((part <= threshold).mean()) for part in distances)
+    return 2 * precision * recall / (precision + recall) if precision + recall else 0.0
+
+
 def fscore_of_points(predicted: np.ndarray, true: np.ndarray, threshold: float) -> float:
     """Harmonic mean of precision and recall of points within `threshold` [m] of the other set."""
-    precision = float((_nearest(predicted, true) <= threshold).mean())
-    recall = float((_nearest(true, predicted) <= threshold).mean())
-    return 2 * precision * recall / (precision + recall) if precision + recall else 0.0
+    return fscore_of_distances(mutual_distances(predicted, true), threshold)
 
 
 def fscore(
@@ -125,12 +118,12 @@ def split_visible(
     if len(surface) == 0:
         visible = np.zeros(len(points), bool)
     else:
-        visible = _nearest(points, surface) <= reach
+        visible = np.isfinite(_nearest(points, surface, reach))
     return visible, ~visible
 
 
 def hidden_and_visible_error(
-    predicted: trimesh.Trimesh,
+    predicted: Solid | trimesh.Trimesh,
     true: trimesh.Trimesh,
     surface: np.ndarray,
     rng: np.random.Generator,
@@ -142,7 +135,8 @@ def hidden_and_visible_error(
     Returns {"visible": ..., "hidden": ...}; NaN for a part that does not exist.
     """
     points = sample_surface(true, samples, rng)
-    distance = distance_to_surface(predicted, points)
+    solid = predicted if isinstance(predicted, Solid) else Solid(predicted)
+    distance = solid.distance(points)
     visible, hidden = split_visible(points, surface, reach)
     return {
         name: float(distance[part].mean()) if part.any() else float("nan")
@@ -150,10 +144,11 @@ def hidden_and_visible_error(
     }
 
 
-def _nearest(points: np.ndarray, others: np.ndarray) -> np.ndarray:
+def _nearest(points: np.ndarray, others: np.ndarray, reach: float = np.inf) -> np.ndarray:
+    """Distance (N,) to the nearest of the others; infinite beyond `reach`."""
     _check_points(points)
     _check_points(others)
-    return cKDTree(others).query(points)[0]
+    return cKDTree(others).query(points, distance_upper_bound=reach)[0]
 
 
 def _check_points(points: Sequence | np.ndarray) -> None:

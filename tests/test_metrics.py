@@ -8,6 +8,7 @@ import trimesh
 
 from mapping.errors import DataError
 from reconstruction import metrics
+from reconstruction.solid import Solid
 
 
 def cube(side: float = 0.1, shift: tuple[float, float, float] = (0, 0, 0)) -> trimesh.Trimesh:
@@ -54,6 +55,23 @@ def test_inside_knows_hollows() -> None:
     hollow = trimesh.util.concatenate([shell, core])
     points = np.array([[0, 0, 0], [0.04, 0.001, 0.002], [0.06, 0, 0]])
     assert metrics.inside(hollow, points).tolist() == [False, True, False]
+
+
+def test_a_solid_answers_as_its_mesh_does_within_and_beyond_its_box() -> None:
+    solid = Solid(cube())
+    points = np.random.default_rng(0).uniform(-0.2, 0.2, (4, 500, 3))
+    np.testing.assert_array_equal(solid.inside(points), (np.abs(points) < 0.05).all(-1))
+    assert not solid.inside(points + 1).any()
+    outward = np.linalg.norm(np.maximum(np.abs(points) - 0.05, 0), axis=-1)
+    beyond = ~solid.inside(points)
+    np.testing.assert_allclose(solid.distance(points)[beyond], outward[beyond], atol=1e-6)
+
+
+def test_distances_serve_chamfer_and_fscore() -> None:
+    a, b = np.random.default_rng(0).random((2, 300, 3))
+    distances = metrics.mutual_distances(a, b)
+    assert metrics.chamfer_of_distances(distances) == metrics.chamfer_of_points(a, b)
+    assert metrics.fscore_of_distances(distances, 0.1) == metrics.fscore_of_points(a, b, 0.1)
 
 
 @pytest.mark.parametrize("gap", [0.002, 0.01])

@@ -7,6 +7,7 @@ import pytest
 from scipy.special import expit
 
 from mapping.baselines.vprism import VPrism, VPrismConfig, expected_softmax, normalised_entropy
+from mapping.baselines.vprism_dense import DenseVPrism
 from mapping.errors import ConfigError, DataError
 
 
@@ -68,6 +69,21 @@ def test_dropping_tiny_features_changes_nothing_that_matters():
         for cutoff in (0.0, 1e-7)
     )
     np.testing.assert_allclose(few, every, atol=1e-3)
+
+
+@pytest.mark.parametrize("alpha", ["published", "bound"])
+def test_the_dense_formulation_gives_the_same_answers(alpha):
+    X, y, hinges = problem(900)
+    queries = np.random.default_rng(1).uniform(-0.3, 0.3, (5000, 3)).astype(np.float32)  # two blocks of rows
+    config = VPrismConfig(alpha=alpha, batch=400)
+    truncated, dense = (
+        kind(config).fit(X, y, hinges, np.random.default_rng(0), classes=5) for kind in (VPrism, DenseVPrism)
+    )
+    np.testing.assert_allclose(dense.predict_proba(queries), truncated.predict_proba(queries), atol=1e-3)
+    mean, variance = dense.latent(queries)
+    expected_mean, expected_variance = truncated.latent(queries)
+    np.testing.assert_allclose(mean, expected_mean, rtol=1e-3, atol=3e-3)
+    np.testing.assert_allclose(variance, expected_variance, rtol=2e-3, atol=2e-3)
 
 
 def test_batches_shrink_the_variance():

@@ -38,7 +38,7 @@ def evaluate(
         scenes: Folder made by `contramap scenes`.
         out: Folder for results.jsonl, summary.json, table.md, figures and report.html.
         methods: contramap (preset tabletop), contramap-paper, hilbert, bayesian-hilbert, vprism,
-            vprism-bound (alpha as the bound has it), tsdf.
+            vprism-dense (no feature dropped: for its time), vprism-bound (alpha as the bound has it), tsdf.
         seeds: Seeds of every method's own sampling.
         limit: Only the first scenes.
         engine: local (processes of this machine) or ray (a cluster; needs the extra `cluster`).
@@ -56,7 +56,7 @@ def evaluate(
         method(name)
     folders = find_scenes(scenes, limit)
     unique = tuple(dict.fromkeys(methods))
-    jobs = [Job(folder, seed, unique, out, ycb, threads) for seed in seeds for folder in folders]
+    jobs = [Job(folder, seeds, unique, out, ycb, threads) for folder in folders]
     check_same_scenes(jobs)
     failures = run_jobs(jobs, engine, workers, ray_address)
     finish(jobs, failures, gallery, json)
@@ -82,8 +82,7 @@ def check_same_scenes(jobs: list[Job]) -> None:
     from mapping.errors import ConfigError
 
     for job in jobs:
-        for name in job.methods:
-            path = job.result_file(name)
+        for path in map(job.result_file, job.runs):
             if path.is_file() and read_json(path).get("fingerprint") != job.fingerprint:
                 raise ConfigError(
                     f"{path} was measured on another scene called {job.scene.name}; choose another --out"
@@ -105,7 +104,7 @@ def run_jobs(jobs: list[Job], engine: str, workers: int, ray_address: str | None
 
     todo = [job for job in jobs if job.missing()]
     if len(todo) < len(jobs):
-        print(f"{len(jobs) - len(todo)} of {len(jobs)} scene-seed pairs are done already")
+        print(f"{len(jobs) - len(todo)} of {len(jobs)} scenes are done already")
     failures: list[dict[str, str]] = []
     with tqdm(total=len(todo), desc="scenes", unit="scene", smoothing=0.1) as bar:
 
@@ -113,7 +112,7 @@ def run_jobs(jobs: list[Job], engine: str, workers: int, ray_address: str | None
             failures.extend(failed)
             for failure in failed:
                 bar.write("failed: {scene} seed {seed} {method}: {error}".format(**failure))
-            bar.set_postfix_str(job.name)
+            bar.set_postfix_str(job.scene.name)
             bar.update(not job.missing() or bool(failed))
 
         if engine == "ray":
@@ -128,13 +127,15 @@ def finish(jobs: list[Job], failures: list[dict[str, str]], gallery: int, json_f
     from mapping.errors import DataError
     from reconstruction.atomic import write_atomically
     from tools.evaluation.figures import write_figures
+    from tools.evaluation.job import Run
     from tools.evaluation.report import write_report
     from tools.evaluation.summary import json_lines, read_results, summarise
     from tools.evaluation.table import card_rows, markdown, paired_rows, shape_rows, speed_rows
     from tools.options import write_json
 
     out = jobs[0].out
-    files = [job.result_file(name) for name in jobs[0].methods for job in jobs]
+    runs = [Run(seed, name) for name in jobs[0].methods for seed in jobs[0].seeds]
+    files = [job.result_file(run) for run in runs for job in jobs]
     results = read_results([path for path in files if path.is_file()])
     if not results:
         reason = failures[0]["error"] if failures else "no job ran"
@@ -164,15 +165,16 @@ def make_gallery(jobs: list[Job], count: int) -> Path | None:
 
     from tools.evaluation.engine import process_environment, worker_environment
     from tools.evaluation.gallery import gallery_pictures, write_gallery
+    from tools.evaluation.job import Run
 
     wanted = tuple(name for name in ("contramap", "vprism") if name in jobs[0].methods)
     names = wanted or jobs[0].methods[:1]
     path = jobs[0].out / "figures" / "gallery.png"
-    first = [job for job in jobs if job.seed == jobs[0].seed]
-    shown = [job for job in first if all(job.result_file(name).is_file() for name in names)][:count]
+    needed = [Run(jobs[0].seeds[0], name) for name in names]
+    shown = [job for job in jobs if all(job.result_file(run).is_file() for run in needed)][:count]
     if not shown:
         return None
-    newest = max(job.result_file(name).stat().st_mtime for job in shown for name in names)
+    newest = max(job.result_file(run).stat().st_mtime for job in shown for run in needed)
     if path.is_file() and path.stat().st_mtime > newest:
         return path
     # In a worker like those that measured: same threads, and a crash leaves the tables standing.

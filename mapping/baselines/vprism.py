@@ -18,7 +18,7 @@ is kept in float64: its smallest eigenvalue, 1e-4, drowns in float32's rounding 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -49,7 +49,7 @@ class VPrismConfig:
     bias: bool = True
     """Adds a feature that is 1 everywhere."""
     cutoff: float = 1e-7
-    """Features below this are dropped; 0 keeps all of them, at ten times the cost."""
+    """Features below this are dropped; 0 keeps all of them (faster so: `DenseVPrism`)."""
     cell: float = 0.12
     """Side of the groups of points [m] that share hinge points."""
 
@@ -105,12 +105,7 @@ class VPrism:
 
     def latent(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mean and variance (N, K) of w_k . phi at points X (N, d)."""
-        mean = np.empty((len(X), self.class_count), np.float32)
-        variance = np.empty_like(mean)
-        for group in self._groups(np.asarray(X, np.float32)):
-            m, v = self._moments(group)
-            mean[group.rows.numpy()], variance[group.rows.numpy()] = m.numpy(), v.numpy()
-        return mean, variance
+        return self._batch_moments(self._groups(np.asarray(X, np.float32)), (len(X), self.class_count))
 
     def predict_proba(self, X: np.ndarray) -> np.ndarray:
         """Class probabilities (N, K) at X (N, d): the softmax averaged over the posterior.
@@ -130,8 +125,8 @@ class VPrism:
         xi, alpha = np.ones_like(one_hot), np.zeros(len(X), np.float32)
         for iteration in range(self.config.iterations):
             if iteration:
-                alpha, xi = self._variational(groups, xi)
-            slope = _lambda(xi)
+                alpha, xi = self._next(*self._batch_moments(groups, xi.shape), xi)
+            slope = sigmoid_slope(xi)
             target = torch.from_numpy(one_hot - 0.5 + 2 * alpha[:, None] * slope)
             weights = torch.from_numpy(2 * slope)
             precision, information = prior.clone(), prior_information.clone()
@@ -147,13 +142,19 @@ class VPrism:
             self.covariance = torch.cholesky_inverse(factor).contiguous()
             self.precision, self._information = precision, information
 
-    def _variational(self, groups: list[_Group], xi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The next alpha (N,) and xi (N, K) from the current posterior and xi."""
-        mean, variance = np.empty_like(xi), np.empty_like(xi)
+    def _batch_moments(
+        self, groups: Iterable[_Group], shape: tuple[int, ...]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and variance of `shape` (N, K) at all points of the groups."""
+        mean, variance = np.empty(shape, np.float32), np.empty(shape, np.float32)
         for group in groups:
             m, v = self._moments(group)
             mean[group.rows.numpy()], variance[group.rows.numpy()] = m.numpy(), v.numpy()
-        slope = _lambda(xi)
+        return mean, variance
+
+    def _next(self, mean: np.ndarray, variance: np.ndarray, xi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The next alpha (N,) and xi (N, K) from the posterior's moments (N, K) and the current xi."""
+        slope = sigmoid_slope(xi)
         total, constant = slope.sum(1), 0.5 * (self.class_count / 2 - 1)
         if self.config.alpha == "published":
             alpha = constant * (slope * mean).sum(1) / total
@@ -214,7 +215,7 @@ def normalised_entropy(probability: np.ndarray) -> np.ndarray:
     return -(p * np.log(np.maximum(p, 1e-12))).sum(1) / np.log(p.shape[1])
 
 
-def _lambda(xi: np.ndarray) -> np.ndarray:
+def sigmoid_slope(xi: np.ndarray) -> np.ndarray:
     """lambda(xi) = (sigmoid(xi) - 1/2) / (2 xi), 1/8 at 0."""
     xi = np.maximum(xi, 1e-3)
     return ((expit(xi) - 0.5) / (2 * xi)).astype(np.float32)

@@ -17,7 +17,7 @@ from perception.frame import Frame
 from perception.observation import Observation
 from perception.observe import observe
 from perception.space import Region, Space
-from reconstruction.metrics import inside
+from reconstruction.solid import Solid
 from sim_scenes.truth import load_truth
 
 LEAST_PIXELS = 200
@@ -63,6 +63,11 @@ class Case:
         """Label -> position among the observed objects."""
         return {item.label: index for index, item in enumerate(self.observation.objects)}
 
+    @cached_property
+    def solids(self) -> dict[int, Solid]:
+        """The true meshes by label, ready for questions."""
+        return {label: Solid(mesh) for label, mesh in self.meshes.items()}
+
     def rng(self, seed: int, purpose: str) -> np.random.Generator:
         """A generator that depends on this scene, the seed and the purpose alone, wherever it is run."""
         return np.random.default_rng([crc32(self.name.encode()), seed, crc32(purpose.encode())])
@@ -81,10 +86,8 @@ class Case:
             near |= ((points - centre) ** 2).sum(1) <= CARD_RADIUS**2
         points = points[near]
         truth = np.zeros(len(points), np.int64)
-        for label, mesh in self.meshes.items():
-            box = np.flatnonzero(((points >= mesh.bounds[0]) & (points <= mesh.bounds[1])).all(1))
-            if len(box):
-                truth[box[inside(mesh, points[box])]] = self.index_of.get(label, UNSEEN - 1) + 1
+        for label, solid in self.solids.items():
+            truth[solid.inside(points)] = self.index_of.get(label, UNSEEN - 1) + 1
         region = self.space.classify(points)
         seen = (region == Region.FREE) | (region == Region.SURFACE)
         return CardVoxels(points, truth, region == Region.OCCLUDED, seen)

@@ -17,6 +17,8 @@ from dataclasses import replace
 from mapping.errors import ConfigError
 from tools.evaluation.job import Job, run_job
 
+CRASHED = "the worker process died (out of memory, or a crash in a library)"
+
 Failures = list[dict[str, str]]
 Finished = Callable[[Job, Failures], None]
 """Called with each job when it is over and what failed in it."""
@@ -55,24 +57,14 @@ def _pool(jobs: list[Job], workers: int, finished: Finished) -> list[Job]:
                     finished(job, failures)
         except BrokenProcessPool:
             for job in running.values():
-                finished(job, [_crash(job, name) for name in job.missing()[:1]])
-                left.extend(_without_crashed(job))
+                crashed = job.missing()[:1]
+                finished(job, [job.failure(run, CRASHED) for run in crashed])
+                rest = replace(job, given_up=job.given_up | set(crashed))
+                left.extend([rest] if rest.missing() else [])
         except KeyboardInterrupt:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return left
-
-
-def _crash(job: Job, name: str) -> dict[str, str]:
-    reason = "the worker process died (out of memory, or a crash in a library)"
-    return {"scene": job.scene.name, "seed": str(job.seed), "method": name, "error": reason}
-
-
-def _without_crashed(job: Job) -> Iterator[Job]:
-    """The job's methods after the one it died in."""
-    rest = job.missing()[1:]
-    if rest:
-        yield replace(job, methods=rest)
 
 
 def run_ray(jobs: Sequence[Job], workers: int, finished: Finished, address: str | None = None) -> None:
@@ -99,9 +91,7 @@ def run_ray(jobs: Sequence[Job], workers: int, finished: Finished, address: str 
             try:
                 failures = ray.get(reference)
             except ray.exceptions.RayError as error:
-                failures = [
-                    {**_crash(job, name), "error": f"{error}".splitlines()[0]} for name in job.missing()
-                ]
+                failures = [job.failure(run, f"{error}".splitlines()[0] or CRASHED) for run in job.missing()]
             finished(job, failures)
     finally:
         if started:

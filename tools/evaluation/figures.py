@@ -16,6 +16,7 @@ COLOURS = {
     "hilbert": "#3aa662",
     "bayesian-hilbert": "#9bd3ae",
     "vprism": "#e0662f",
+    "vprism-dense": "#a8431b",
     "vprism-bound": "#f3b08f",
     "tsdf": "#7a7f87",
 }

@@ -12,9 +12,9 @@ from perception.camera import Camera
 from reconstruction.meshing import MeshConfig
 from reconstruction.palette import object_colour, uncertainty_colours
 from reconstruction.shading import ShadingConfig, render
+from tools.evaluation.answers import delivered_meshes
 from tools.evaluation.case import Case, load_case
 from tools.evaluation.methods import FittedMap, method
-from tools.evaluation.protocol import delivered_meshes
 
 WIDTH = 480
 """Width of every picture [px]."""
@@ -31,7 +31,7 @@ def gallery_pictures(scene: Path, names: tuple[str, ...], ycb_dir: Path | None) 
     pictures = {"RGB": _resized(_rgb(case), camera), "segmented cloud": _resized(_labels(case), camera)}
     for name in names:
         fitted = method(name)(case.observation, case.space, case.rng(SEED, "fit"))
-        meshes, _ = delivered_meshes(fitted, case, MeshConfig())
+        meshes = delivered_meshes(fitted, case, MeshConfig())
         pictures[f"{name}: meshes"] = _shaded(case, camera, meshes)
         pictures[f"{name}: uncertainty slice"] = _slice(case, fitted, meshes, camera)
     return pictures

@@ -15,9 +15,11 @@ import torch
 from scipy import ndimage
 
 from mapping.baselines.base import gini
-from mapping.baselines.bayesian_hilbert import BayesianHilbertConfig, BayesianHilbertMap
+from mapping.baselines.bayesian_hilbert import BayesianHilbertConfig
 from mapping.baselines.hilbert import HilbertMap
+from mapping.baselines.one_vs_rest import OneVsRestHilbertMap
 from mapping.baselines.vprism import VPrism, VPrismConfig, normalised_entropy
+from mapping.baselines.vprism_dense import DenseVPrism
 from mapping.contramap import ContraMap
 from mapping.errors import ConfigError
 from mapping.lattice import LatticeEvaluator
@@ -126,24 +128,31 @@ class FittedVPrism(FittedMap):
         return _beside(logits.argmax(0).numpy() > 0)
 
 
+class FittedDenseVPrism(FittedVPrism):
+    """V-PRISM with every feature kept, asked at every node of the coarse grid, as its code does."""
+
+    def occupancy(self, axes: list[np.ndarray], index: int) -> np.ndarray:
+        return self.predict(_nodes(axes))[0][:, index + 1].reshape([len(axis) for axis in axes])
+
+
 class FittedOneVsRest(FittedMap):
     """One Bayesian Hilbert map an object and one for empty space, normalised over them."""
 
-    def __init__(self, models: list[BayesianHilbertMap], samples: np.ndarray) -> None:
-        self.models, self.samples = models, samples
+    def __init__(self, model: OneVsRestHilbertMap, samples: np.ndarray) -> None:
+        self.model, self.samples = model, samples
 
     def predict(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        alone = np.stack([model.predict_proba(points)[:, 1] for model in self.models], 1)
+        alone = self.model.predict_proba(points)
         probability = alone / np.maximum(alone.sum(1, keepdims=True), 1e-9)
-        return probability.astype(np.float32), gini(probability)
+        return probability, gini(probability)
 
     def worth_asking(self, axes: list[np.ndarray]) -> np.ndarray:
         # An object's share passes 1/2 only where it beats empty space. That cannot be where its own mean is
         # negative and that of empty space positive, whatever the variances are.
-        hinges = self.models[0].hinges
-        gamma = np.full(len(hinges), self.models[0].config.gamma, np.float32)
-        weights = torch.from_numpy(np.stack([model.mu for model in self.models], 1).astype(np.float32))
-        means = LatticeEvaluator(hinges, gamma, weights, torch.zeros(len(self.models)))(axes).numpy()
+        hinges = self.model.hinges
+        gamma = np.full(len(hinges), self.model.config.gamma, np.float32)
+        weights = torch.from_numpy(self.model.mu.T.astype(np.float32))
+        means = LatticeEvaluator(hinges, gamma, weights, torch.zeros(len(self.model.mu)))(axes).numpy()
         return _beside((means[1:] > 0).any(0) | (means[0] < 0))
 
 
@@ -181,15 +190,19 @@ def fit_vprism(
     return FittedVPrism(model, X)
 
 
+def fit_dense_vprism(observation: Observation, space: Space, rng: np.random.Generator) -> FittedMap:
+    """V-PRISM as published, on its own hinge points and samples."""
+    X, y, hinges = observed_samples(observation, space, rng)
+    model = DenseVPrism().fit(X, y, hinges, rng, classes=len(observation.objects) + 1)
+    return FittedDenseVPrism(model, X)
+
+
 def fit_bayesian_hilbert(observation: Observation, space: Space, rng: np.random.Generator) -> FittedMap:
     """Binary Bayesian Hilbert maps, one class against the rest, on V-PRISM's hinge points and samples."""
     X, y, hinges = observed_samples(observation, space, rng)
     config = BayesianHilbertConfig(gamma=PaperSamples().gamma)
-    models = [
-        BayesianHilbertMap(config).fit(X, (y == k).astype(np.int64), hinges, rng)
-        for k in range(len(observation.objects) + 1)
-    ]
-    return FittedOneVsRest(models, X)
+    model = OneVsRestHilbertMap(config).fit(X, y, hinges, rng, classes=len(observation.objects) + 1)
+    return FittedOneVsRest(model, X)
 
 
 def fit_tsdf(observation: Observation, space: Space, rng: np.random.Generator) -> FittedMap:
@@ -201,6 +214,7 @@ def fit_tsdf(observation: Observation, space: Space, rng: np.random.Generator) -
 
 METHODS: dict[str, Method] = {
     "vprism": fit_vprism,
+    "vprism-dense": fit_dense_vprism,
     "vprism-bound": partial(fit_vprism, config=VPrismConfig(alpha="bound")),
     "contramap": partial(fit_contramap, "tabletop"),
     "contramap-paper": partial(fit_contramap, "paper"),
@@ -208,6 +222,10 @@ METHODS: dict[str, Method] = {
     "bayesian-hilbert": fit_bayesian_hilbert,
     "tsdf": fit_tsdf,
 }
+
+
+SEEDLESS = frozenset({"tsdf"})
+"""Methods whose fit draws nothing: one fit serves all seeds, which only draw the points of the metrics."""
 
 
 def method(name: str) -> Method:

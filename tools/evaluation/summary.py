@@ -35,8 +35,9 @@ CARD_METRICS = (
     "error_rate",
 )
 """Metrics of whole scenes."""
-TIMES = ("fit_s", "mesh_s", "mesh_5mm_s")
-"""Seconds; the summary gives their median."""
+STAGES = ("fit", "mesh", "mesh_5mm")
+TIMES = tuple(f"{stage}{kind}" for kind in ("_s", "_cpu_s") for stage in STAGES)
+"""Wall-clock and processor seconds; the summary gives their median."""
 LOWER_IS_BETTER = frozenset(
     {
         "chamfer_mm",

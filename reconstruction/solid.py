@@ -1,0 +1,55 @@
+"""A mesh made ready for questions: what lies inside it, and how far is its surface?"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from mapping.errors import DataError
+
+OCCUPANCY_RAYS = 3
+"""Rays that vote on inside or outside: scans touch themselves along edges, where one ray may miscount."""
+
+
+class Solid:
+    """A mesh [m] whose ray-casting scene is built once, however often it is asked."""
+
+    def __init__(self, mesh: trimesh.Trimesh) -> None:
+        if len(mesh.faces) == 0:
+            raise DataError("the mesh has no triangles")
+        self.mesh = mesh
+
+    def inside(self, points: np.ndarray) -> np.ndarray:
+        """Which points (..., 3) [m] lie inside the closed mesh: (...) bool."""
+        low, high = self.mesh.bounds
+        # Most points of a grid lie outside the mesh's box: no ray has to be cast for them.
+        box = ((points >= low) & (points <= high)).all(-1)
+        found = np.zeros(box.shape, bool)
+        if box.any():
+            occupancy = self._scene.compute_occupancy(_tensor(points[box]), nsamples=OCCUPANCY_RAYS)
+            found[box] = occupancy.numpy() > 0.5
+        return found
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Distance [m] of points (..., 3) to the nearest point of the surface: (...) float32."""
+        return self._scene.compute_distance(_tensor(points)).numpy()
+
+    @cached_property
+    def _scene(self) -> Any:
+        import open3d
+
+        scene = open3d.t.geometry.RaycastingScene()
+        scene.add_triangles(
+            _tensor(self.mesh.vertices),
+            open3d.core.Tensor.from_numpy(np.ascontiguousarray(self.mesh.faces, np.uint32)),
+        )
+        return scene
+
+
+def _tensor(values: np.ndarray) -> Any:
+    import open3d
+
+    return open3d.core.Tensor.from_numpy(np.ascontiguousarray(values, np.float32))
