@@ -63,9 +63,11 @@ def along_rays(
     rays = points - origin
     length = np.linalg.norm(rays, axis=1)
     count = int(np.ceil(length.max() / step))
-    distance = (np.arange(count) + rng.random((len(points), count))) * step
+    distance = rng.random((len(points), count))
+    distance += np.arange(count)
+    distance *= step
     kept = distance < (length - margin)[:, None]
-    ray = np.broadcast_to(np.arange(len(points))[:, None], kept.shape)[kept]
+    ray = np.repeat(np.arange(len(points)), kept.sum(1))
     share = (distance[kept] / length[ray]).astype(points.dtype)
     return origin.astype(points.dtype) + rays[ray] * share[:, None]
 
@@ -89,6 +91,7 @@ def jittered(points: np.ndarray, spacing: float, rng: np.random.Generator) -> np
 def within(points: np.ndarray, centres: np.ndarray, radius: float) -> np.ndarray:
     """Mask (N,): points (N, d) within `radius` of any centre (M, d)."""
     near = np.zeros(len(points), bool)
+    axes = np.ascontiguousarray(points.T)  # axis by axis: NumPy is slow at sums over a few numbers a row
     for centre in centres.astype(points.dtype):
-        near |= ((points - centre) ** 2).sum(1) <= radius**2
+        near |= sum((axis - middle) ** 2 for axis, middle in zip(axes, centre)) <= radius**2
     return near

@@ -130,7 +130,7 @@ def finish(jobs: list[Job], failures: list[dict[str, str]], gallery: int, json_f
     from tools.evaluation.job import Run
     from tools.evaluation.report import write_report
     from tools.evaluation.summary import json_lines, read_results, summarise
-    from tools.evaluation.table import card_rows, markdown, paired_rows, shape_rows, speed_rows
+    from tools.evaluation.table import all_tables
     from tools.options import write_json
 
     out = jobs[0].out
@@ -144,7 +144,7 @@ def finish(jobs: list[Job], failures: list[dict[str, str]], gallery: int, json_f
     write_json(summary, out / "summary.json")
     write_json(summary, json_file)
     write_atomically(out / "results.jsonl", json_lines(results).encode())
-    tables = [markdown(rows(summary)) for rows in (shape_rows, card_rows, speed_rows, paired_rows)]
+    tables = all_tables(summary)
     write_atomically(out / "table.md", ("\n\n".join(tables) + "\n").encode())
     figures = write_figures(results, out / "figures")
     picture = make_gallery(jobs, gallery)

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from mapping.errors import DataError
+from tools.evaluation.against import against
+from tools.evaluation.classes import class_comparison, sturdy_summary
 
 OBJECT_METRICS = (
     "iou",
@@ -38,6 +40,8 @@ CARD_METRICS = (
 STAGES = ("fit", "mesh", "mesh_5mm")
 TIMES = tuple(f"{stage}{kind}" for kind in ("_s", "_cpu_s") for stage in STAGES)
 """Wall-clock and processor seconds; the summary gives their median."""
+COMPARED = ("contramap", "vprism")
+"""The methods that are compared class by class."""
 LOWER_IS_BETTER = frozenset(
     {
         "chamfer_mm",
@@ -92,7 +96,8 @@ def scene_values(result: dict[str, Any]) -> dict[str, float]:
 
 
 def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
-    """{scenes, methods: {name: {metric: {mean, std, std_seeds}, missing, fit_s, mesh_s, ...}}, paired}.
+    """{scenes, seeds, methods: {name: {metric: {mean, std, std_seeds}, missing, fit_s, mesh_s, ...}}, paired,
+    against, sturdy, classes}; the last four as their functions say.
 
     mean: over objects for shapes and over scenes for the card, of all seeds; std: over scenes of their means
     over seeds; std_seeds: over seeds of their means over scenes. Times are medians.
@@ -105,7 +110,16 @@ def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
         "seeds": sorted({result["seed"] for result in results}),
         "methods": {name: _method(items) for name, items in by_method.items()},
         "paired": paired_tests(results),
+        "against": against(results),
+        "sturdy": sturdy_summary(results),
+        "classes": _classes(results),
     }
+
+
+def _classes(results: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """COMPARED class by class; empty when one of them was not run."""
+    methods = {result["method"] for result in results}
+    return class_comparison(results, *COMPARED) if set(COMPARED) <= methods else []
 
 
 def _method(results: list[dict[str, Any]]) -> dict[str, Any]:

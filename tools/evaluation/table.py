@@ -1,10 +1,12 @@
-"""The summary as tables of text: shapes, uncertainty, speed, significance."""
+"""The summary as tables of text: shapes, uncertainty, speed, comparisons, significance."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from tools.evaluation.summary import LOWER_IS_BETTER
+from tools.evaluation.against import CROWDED
+from tools.evaluation.classes import CLASS_METRICS
+from tools.evaluation.summary import COMPARED, LOWER_IS_BETTER
 
 SHAPE_COLUMNS = {
     "iou": "IoU",
@@ -30,6 +32,21 @@ DIGITS = {"chamfer_mm": 1, "chamfer_5mm": 1, "visible_mm": 1, "hidden_mm": 1, "a
 """Digits after the point, 3 for all others."""
 
 
+def all_tables(summary: dict[str, Any]) -> list[str]:
+    """Every table as markdown under its title, those without rows left out."""
+    kinds = {
+        "Shapes": shape_rows,
+        "Uncertainty": card_rows,
+        "Speed": speed_rows,
+        "Against V-PRISM": against_rows,
+        "Sturdy objects": sturdy_rows,
+        "Classes of objects": class_rows,
+        "Significance": paired_rows,
+    }
+    tables = {title: rows(summary) for title, rows in kinds.items()}
+    return [f"### {title}\n\n{markdown(rows)}" for title, rows in tables.items() if len(rows) > 1]
+
+
 def shape_rows(summary: dict[str, Any]) -> list[list[str]]:
     """Header and one row a method: mean ± spread over scenes (± over seeds when there are several)."""
     header = ["method", "scenes", "objects", "missing", *SHAPE_COLUMNS.values()]
@@ -53,16 +70,78 @@ def card_rows(summary: dict[str, Any]) -> list[list[str]]:
 
 
 def speed_rows(summary: dict[str, Any]) -> list[list[str]]:
-    """Header and one row a method: median seconds, and how many times faster than V-PRISM it is."""
-    slow = summary["methods"].get("vprism")
+    """Header and one row a method: median seconds of each stage, and processor seconds."""
     rows = [
-        ["method", "fit [s]", "mesh 15 mm [s]", "mesh 5 mm [s]", "fit + mesh 15 mm [s]", "against V-PRISM"]
+        [
+            "method",
+            "fit [s]",
+            "mesh 15 mm [s]",
+            "mesh 5 mm [s]",
+            "fit + mesh 15 mm [s]",
+            "processor, fit + mesh 15 mm [s]",
+        ]
     ]
     for name, entry in summary["methods"].items():
-        total = entry["fit_s"] + entry["mesh_s"]
-        ratio = f"{(slow['fit_s'] + slow['mesh_s']) / total:.1f} x" if slow else ""
-        times = [f"{entry[key]:.3f}" for key in ("fit_s", "mesh_s", "mesh_5mm_s")]
-        rows.append([name, *times, f"{total:.3f}", ratio])
+        stages = [entry[key] for key in ("fit_s", "mesh_s", "mesh_5mm_s")]
+        totals = [entry["fit_s"] + entry["mesh_s"], entry["fit_cpu_s"] + entry["mesh_cpu_s"]]
+        rows.append([name, *(f"{value:.3f}" for value in (*stages, *totals))])
+    return rows
+
+
+def against_rows(summary: dict[str, Any]) -> list[list[str]]:
+    """Header and one row a method and V-PRISM formulation, on the scenes both were run on."""
+    rows = [
+        [
+            "method",
+            "against",
+            "scenes",
+            "objects",
+            "IoU gain",
+            "Chamfer ratio",
+            "IoU gain 5 mm",
+            "Chamfer ratio 5 mm",
+            "AURC ratio",
+            "times faster",
+            f"times faster, {CROWDED} objects or more",
+        ]
+    ]
+    for row in summary["against"]:
+        accuracy = [
+            _signed(row["iou_gain"]),
+            _number("", row["chamfer_ratio"]),
+            _signed(row["iou_5mm_gain"]),
+            _number("", row["chamfer_5mm_ratio"]),
+            _number("", row["aurc_ratio"]),
+        ]
+        crowded = "" if row["faster_crowded"] is None else f"{row['faster_crowded']:.1f} x"
+        if crowded:
+            crowded += f" ({row['crowded_scenes']} scenes)"
+        speed = [f"{row['faster']:.1f} x", crowded]
+        counts = [str(row["scenes"]), str(row["objects"])]
+        rows.append([row["method"], row["reference"], *counts, *accuracy, *speed])
+    return rows
+
+
+def sturdy_rows(summary: dict[str, Any]) -> list[list[str]]:
+    """Header and one row a method: means over sturdy objects."""
+    rows = [["method", "sturdy objects", *(SHAPE_COLUMNS[metric] for metric in CLASS_METRICS)]]
+    for name, entry in summary["sturdy"].items():
+        cells = [_number(metric, entry[metric]) for metric in CLASS_METRICS]
+        rows.append([name, str(entry["objects"]), *cells])
+    return rows
+
+
+def class_rows(summary: dict[str, Any]) -> list[list[str]]:
+    """Header and one row a class: IoU of both methods and which is better, Chamfer distances at 5 mm."""
+    a, b = COMPARED
+    header = ["class", "objects", "sturdy", f"IoU {a}", f"IoU {b}", "difference", "better"]
+    rows = [[*header, f"Chamfer 5 mm {a} [mm]", f"Chamfer 5 mm {b} [mm]"]]
+    for row in summary["classes"]:
+        numbers = [_number("iou", row[a]["iou"]), _number("iou", row[b]["iou"]), _signed(row["difference"])]
+        fine = [_number("chamfer_5mm", row[name]["chamfer_5mm"]) for name in COMPARED]
+        better = a if row["difference"] > 0 else b if row["difference"] < 0 else "neither"
+        count = [str(row["objects"]), "yes" if row["sturdy"] else ""]
+        rows.append([row["class"], *count, *numbers, better, *fine])
     return rows
 
 
@@ -100,3 +179,7 @@ def _cells(entry: dict[str, Any], columns: dict[str, str]) -> list[str]:
 
 def _number(metric: str, value: float | None) -> str:
     return "" if value is None else f"{value:.{DIGITS.get(metric, 3)}f}"
+
+
+def _signed(value: float | None) -> str:
+    return "" if value is None else f"{value:+.3f}"
