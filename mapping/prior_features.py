@@ -92,11 +92,8 @@ class ObjectBox:
 
     def local(self, points: np.ndarray) -> np.ndarray:
         """Points (N, 3) float32 of the table frame in box coordinates, -1 to 1 along each axis."""
-        scale, (c, s) = 2 / self.size, self.heading
-        turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) * scale[:, None]
-        result = points @ turn.T.astype(np.float32)
-        result -= (1 + self.low * scale).astype(np.float32)
-        return result
+        scale = (2 / self.size).astype(np.float32)
+        return _turn(points, self.heading) * scale - (1 + self.low * scale).astype(np.float32)
 
     def lattice(self) -> np.ndarray:
         """Cell centres (V, 3) float32 in the table frame, z fastest."""
