@@ -13,7 +13,8 @@ import numpy as np
 import torch
 
 from mapping.errors import DataError
-from mapping.prior_features import LATTICE, Evidence, ObjectBox, RayEvidence, channels
+from mapping.prior_features import LATTICE, LATTICE_CHANNELS, Evidence, ObjectBox, RayEvidence, channels
+from mapping.prior_footprint import Footprint, footprint_channels
 from mapping.prior_network import PriorNetwork
 
 WEIGHTS_FILE = Path(__file__).with_name("prior_weights.npz")
@@ -55,26 +56,28 @@ class OcclusionPrior:
         """Log odds (N, K) float32 of each object against its absence; OUTSIDE beyond its box or below 0."""
         points = np.asarray(points, np.float32)
         boxes = [ObjectBox.around(item, origin) for item in visible]
-        lattices = [
-            lattice_channels(box, item, evidence(box.lattice(), index))
-            for index, (box, item) in enumerate(zip(boxes, visible))
-        ]
+        above = points[:, 2] >= 0
+        lattices = np.empty((len(boxes), LATTICE_CHANNELS, *LATTICE), np.float32)
+        for index, (box, item) in enumerate(zip(boxes, visible)):
+            lattices[index] = lattice_channels(box, item, evidence(box.lattice(), index))
         result = np.full((len(points), len(boxes)), OUTSIDE, np.float32)
         if not boxes:
             return result
         with torch.inference_mode():
-            features = self.network.encode(torch.from_numpy(np.stack(lattices)))
+            features = self.network.encode(torch.from_numpy(lattices))
             for index, box in enumerate(boxes):
                 local = box.local(points)
-                rows = np.flatnonzero((np.abs(local) <= 1).all(axis=1) & (points[:, 2] >= 0))
+                x, y, z = (np.abs(local) <= 1).T  # column by column: reducing rows of three is slow
+                rows = np.flatnonzero(x & y & z & above)
                 if len(rows) == 0:
                     continue
                 local = local[rows]
-                known = channels(local, evidence(points[rows], index), box.scalars()[:, None])
+                plan = Footprint.of(box, visible[index]).at(box, local)
+                known = point_channels(local, evidence(points[rows], index), box.scalars()[:, None], *plan)
                 odds = self.network.decode(
                     features[index : index + 1],
                     torch.from_numpy(local)[None],
-                    torch.from_numpy(np.ascontiguousarray(known.T))[None],
+                    torch.from_numpy(known).T[None],
                 )
                 result[rows, index] = odds[0].numpy()
         return result
@@ -85,6 +88,17 @@ def lattice_channels(box: ObjectBox, visible: np.ndarray, seen: RayEvidence) -> 
     rows = channels(lattice_coordinates(), seen, box.scalars()[:, None])
     held = box.surface_cells(visible)[None].astype(np.float32)
     return np.concatenate([rows, held]).reshape(-1, *LATTICE)
+
+
+def point_channels(
+    local: np.ndarray, seen: RayEvidence, scalars: np.ndarray, distance: np.ndarray, above: np.ndarray
+) -> np.ndarray:
+    """The decoder's input (POINT_CHANNELS, N) float32 at points (N, 3) in box coordinates.
+
+    seen: the evidence there; scalars: of the box (6, 1); distance, above: (N,) as Footprint.at gives them.
+    """
+    rows = channels(local, seen, scalars)
+    return np.concatenate([rows, footprint_channels(distance, above, scalars[0])])
 
 
 @lru_cache(maxsize=1)

@@ -7,7 +7,11 @@ from torch import nn
 from torch.nn import functional as F
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from mapping.prior_features import LATTICE_CHANNELS, POINT_CHANNELS
+from mapping.prior_features import LATTICE_CHANNELS, RAY_CHANNELS
+from mapping.prior_footprint import FOOTPRINT_CHANNELS
+
+POINT_CHANNELS = RAY_CHANNELS + FOOTPRINT_CHANNELS
+"""What is known of a single point: what the rays say, and the plan view."""
 
 WIDTHS = (24, 40, 64)
 """Channels at a half, a quarter and an eighth of the lattice's resolution."""

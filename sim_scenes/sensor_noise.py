@@ -28,6 +28,14 @@ class SensorNoiseConfig:
     """Share of edge pixels without depth."""
     flying: float = 0.25
     """Share of edge pixels whose depth lies between foreground and background."""
+    waves: float = 0.0
+    """Standard deviation at 1 m [m] of a smooth error over patches of `waves_px`; grows as axial does."""
+    waves_px: int = 24
+    """Size of the patches of smooth error."""
+    rounding_px: float = 0.0
+    """Creases are smoothed over about this distance, as matching windows do; depth edges stay."""
+    shadow_m: float = 0.0
+    """Distance of the second imager, to the right; left of it when negative. What it cannot see is lost."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +61,16 @@ def noisy_depth(
     share = rng.random(depth.shape)
     flying = edge & (roll < config.flying)
     measured = np.where(flying, near + share * (far - near), depth)
+    if config.rounding_px > 0:
+        measured = np.where(flying, measured, _rounded(depth, config))
 
     noise = rng.standard_normal(depth.shape)
     if config.correlation_px > 0:
         noise = ndimage.gaussian_filter(noise, config.correlation_px)
         noise *= 2 * np.sqrt(np.pi) * config.correlation_px  # back to unit variance
     measured = measured + config.axial * measured**2 * noise
+    if config.waves > 0:
+        measured = measured + config.waves * measured**2 * _smooth_noise(depth.shape, config.waves_px, rng)
     # A camera tells disparities apart, not depths: the step in 1 / z is constant.
     inverse = np.rint(1 / measured / config.disparity_step) * config.disparity_step
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -67,7 +79,21 @@ def noisy_depth(
     limit = np.cos(np.deg2rad(config.grazing_deg))
     lost = rng.random(depth.shape) > cosine / limit  # surely lost where the surface is seen edge-on
     lost |= edge & ~flying & (roll > 1 - config.edge_holes)
+    if config.shadow_m:
+        lost |= in_stereo_shadow(depth, camera, config.shadow_m)
     return np.where(lost, np.nan, measured).astype(np.float32)
+
+
+def in_stereo_shadow(depth: np.ndarray, camera: Camera, baseline: float) -> np.ndarray:
+    """Pixels (H, W) bool that a second imager, `baseline` metres to the right, sees something else before."""
+    if baseline < 0:
+        return in_stereo_shadow(depth[:, ::-1], camera, -baseline)[:, ::-1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        disparity = np.nan_to_num(camera.K[0, 0] * baseline / depth, nan=0.0)
+    column = np.arange(depth.shape[1]) - disparity  # where the second imager sees it
+    # Something further right that it sees further left, or at the same place, hides it.
+    nearest = np.minimum.accumulate(column[:, ::-1], axis=1)[:, ::-1]
+    return np.append(nearest[:, 1:], np.full((len(depth), 1), np.inf), axis=1) < column
 
 
 def viewing_cosine(depth: np.ndarray, camera: Camera) -> np.ndarray:
@@ -118,6 +144,25 @@ def _edges(depth: np.ndarray, jump: float) -> tuple[np.ndarray, np.ndarray, np.n
     # A slanted plane has no edge: its pixel lies in the middle of its neighbours.
     bend = np.abs(near + far - 2 * filled)
     return (far - near > jump) & (bend > 0.5 * jump), near, far
+
+
+def _rounded(depth: np.ndarray, config: SensorNoiseConfig) -> np.ndarray:
+    import cv2
+
+    if not np.isfinite(depth).any():
+        return depth
+    # What is missing must lie beyond a jump, and not so far that OpenCV's table of weights grows coarse.
+    filled = np.nan_to_num(depth, nan=np.nanmax(depth) + 10 * config.edge_jump_m).astype(np.float32)
+    smooth = cv2.bilateralFilter(filled, -1, 0.5 * config.edge_jump_m, config.rounding_px)
+    return np.where(np.isfinite(depth), smooth, np.nan)
+
+
+def _smooth_noise(shape: tuple[int, ...], patch: int, rng: np.random.Generator) -> np.ndarray:
+    """Noise (H, W) of about unit variance that changes over `patch` pixels."""
+    import cv2
+
+    coarse = rng.standard_normal((shape[0] // patch + 2, shape[1] // patch + 2))
+    return cv2.resize(coarse, (shape[1], shape[0]), interpolation=cv2.INTER_CUBIC)
 
 
 def _smaller_step(points: np.ndarray, axis: int) -> np.ndarray:

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from perception.camera import Camera
 from perception.frame import Frame
 from sim_scenes.render import look_at
-from sim_scenes.sensor_noise import noisy_depth, noisy_labels
+from sim_scenes.sensor_noise import SensorNoiseConfig, noisy_depth, noisy_labels
 from sim_scenes.training_shapes import TrainingShape
 
 DRAWS = 30
@@ -34,26 +34,40 @@ class SceneConfig:
 
     objects: tuple[int, int] = (1, 9)
     """Fewest and most shapes."""
-    upright: float = 0.45
+    upright: float = 0.42
     """Share of shapes that stand as modelled."""
+    upside_down: float = 0.12
+    """Share of shapes that stand on their head."""
     leaning: float = 0.12
     """Share of shapes in any orientation, as if leaning on something."""
     piled: float = 0.3
     """Share of shapes that may fall onto others."""
     spread_m: float = 0.22
     """Shapes lie within this distance of the table's centre."""
-    distance_m: tuple[float, float] = (0.5, 1.1)
+    distance_m: tuple[float, float] = (0.4, 1.2)
     """Nearest and farthest camera."""
-    elevation_deg: tuple[float, float] = (22.0, 70.0)
+    elevation_deg: tuple[float, float] = (14.0, 75.0)
     """Lowest and highest viewing angle."""
+    table_m: tuple[float, float] = (0.35, 1.5)
+    """Smallest and largest half side of the table; beyond it nothing is measured."""
     widths_px: tuple[int, ...] = (320, 400, 480, 640)
     """Image widths, at an aspect of 4 to 3."""
     focal_share: tuple[float, float] = (0.8, 1.15)
     """Focal length as a share of the image width."""
-    noisy: float = 0.4
+    noisy: float = 0.55
     """Share of scenes with sensor noise."""
-    noisy_labels: float = 0.25
+    noisy_labels: float = 0.35
     """Share of scenes with wrong label borders."""
+    noise_scale: float = 0.7
+    """The sensor's errors vary by up to this in the logarithm."""
+    waves: float = 0.006
+    """Largest smooth error of depth at 1 m [m]."""
+    rounding_px: float = 3.0
+    """Largest distance over which creases are rounded."""
+    shadowed: float = 0.7
+    """Share of noisy scenes in which depth is lost where a second imager cannot see."""
+    shadow_m: tuple[float, float] = (0.03, 0.09)
+    """Least and greatest distance of the second imager."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +89,7 @@ def make_training_scene(
     for _ in range(rng.integers(config.objects[0], config.objects[1] + 1)):
         shapes.append(_place(draw(rng), shapes, rng, config))
     camera = _camera(rng, config)
-    depth, labels = _render(shapes, camera)
+    depth, labels = _render(shapes, camera, rng.uniform(*config.table_m))
     visible = np.bincount(labels.ravel(), minlength=len(shapes) + 1)
     kept = {label: shape for label, shape in enumerate(shapes, 1) if visible[label] >= LEAST_PIXELS}
     labels[~np.isin(labels, list(kept))] = 0
@@ -84,7 +98,7 @@ def make_training_scene(
     if rng.random() < config.noisy_labels:
         labels = noisy_labels(labels, rng)
     if rng.random() < config.noisy:
-        depth = noisy_depth(depth, camera, rng)
+        depth = noisy_depth(depth, camera, rng, _sensor(rng, config))
     if not labels.any():
         return make_training_scene(draw, rng, config)
     return TrainingScene(Frame(depth, camera, labels=labels, source="training scene"), kept)
@@ -117,6 +131,8 @@ def _place(
         rotation = Rotation.random(random_state=rng).as_matrix()
     elif roll < config.leaning + config.upright:
         rotation = turn
+    elif roll < config.leaning + config.upright + config.upside_down:
+        rotation = turn @ np.diag([1.0, -1.0, -1.0])
     else:
         rotation = turn @ _resting_rotation(vertices, rng)
     vertices = vertices @ rotation.T
@@ -227,12 +243,26 @@ def _camera(rng: np.random.Generator, config: SceneConfig) -> Camera:
     return Camera(K, width, height, look_at(target + rng.uniform(*config.distance_m) * away, target))
 
 
-def _render(shapes: Sequence[TrainingShape], camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Depth (H, W) [m] and labels (H, W) uint16, k = shape k - 1."""
+def _sensor(rng: np.random.Generator, config: SceneConfig) -> SensorNoiseConfig:
+    """A random sensor, from a good one to a poor one."""
+    usual = SensorNoiseConfig()
+    scale = np.exp(rng.uniform(-config.noise_scale, config.noise_scale, 2))
+    shadow = rng.uniform(*config.shadow_m) * rng.choice([-1, 1]) * (rng.random() < config.shadowed)
+    return SensorNoiseConfig(
+        axial=usual.axial * scale[0],
+        disparity_step=usual.disparity_step * scale[1],
+        waves=config.waves * rng.random(),
+        rounding_px=config.rounding_px * rng.random(),
+        shadow_m=shadow,
+    )
+
+
+def _render(shapes: Sequence[TrainingShape], camera: Camera, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Depth (H, W) [m] and labels (H, W) uint16, k = shape k - 1, on a table of half side `reach` [m]."""
     import open3d as o3d
 
     scene = o3d.t.geometry.RaycastingScene()
-    table = trimesh.creation.box([3.0, 3.0, 0.02])
+    table = trimesh.creation.box([2 * reach, 2 * reach, 0.02])
     table.apply_translation([0, 0, -0.01])
     owner = [0]
     _add(scene, table)

@@ -20,7 +20,9 @@ def flat_box(rng: np.random.Generator) -> Parts:
 
 
 def packet(rng: np.random.Generator) -> Parts:
-    return [box([rng.uniform(0.10, 0.2), rng.uniform(0.03, 0.08), rng.uniform(0.14, 0.26)])]
+    """A standing box such as food is sold in."""
+    low, high = np.log([0.05, 0.02, 0.07]), np.log([0.22, 0.10, 0.28])
+    return [box(np.exp(rng.uniform(low, high)))]
 
 
 def ball(rng: np.random.Generator) -> Parts:

@@ -54,11 +54,30 @@ def wall(radius: np.ndarray, height: np.ndarray, thickness: float, floor: float)
     return [*outside, *inside, (inside[-1][0] * 0.9, floor)]
 
 
+def _thickness(rng: np.random.Generator, least: float, most: float) -> float:
+    """A wall's thickness [m], thin ones as likely as thick ones."""
+    return float(np.exp(rng.uniform(np.log(least), np.log(most))))
+
+
+def _footed(
+    rng: np.random.Generator, widths: np.ndarray, heights: np.ndarray, thickness: float, floor: float
+) -> trimesh.Trimesh:
+    """A vessel whose floor, more often than not, is raised by a ring to stand on."""
+    lift = rng.uniform(0.001, 0.25 * heights[-1]) if rng.random() < 0.6 else 0.0
+    outline = wall(widths, heights, thickness, lift + floor)
+    if lift:
+        inner = widths[0] - np.clip(thickness, 0.002, 0.5 * widths[0])
+        outline = [(inner, lift), (inner, 0.0), *outline]
+    return turned(outline)
+
+
 def cup(rng: np.random.Generator) -> Parts:
-    low, top, height = rng.uniform(0.02, 0.04), rng.uniform(0.025, 0.05), rng.uniform(0.03, 0.12)
+    low, top, height = rng.uniform(0.018, 0.04), rng.uniform(0.025, 0.05), rng.uniform(0.03, 0.13)
     share = np.linspace(0, 1, 5)
     radius = low + (top - low) * share + rng.uniform(0, 0.008) * np.sin(np.pi * share)
-    return [turned(wall(radius, height * share, rng.uniform(0.0015, 0.006), rng.uniform(0.002, 0.01)))]
+    return [
+        turned(wall(radius, height * share, _thickness(rng, 0.0012, 0.006), _thickness(rng, 0.0015, 0.008)))
+    ]
 
 
 def _handle(reach: float, low: float, high: float, at: float, radii: tuple[float, float]) -> trimesh.Trimesh:
@@ -92,15 +111,16 @@ def bowl(rng: np.random.Generator) -> Parts:
     share = np.linspace(0, 1, 8)
     foot = rng.uniform(0.2, 0.6)
     widths = radius * (foot + (1 - foot) * share ** rng.uniform(0.4, 0.9))
-    return [turned(wall(widths, height * share, rng.uniform(0.002, 0.006), rng.uniform(0.003, 0.008)))]
+    thickness, floor = _thickness(rng, 0.0012, 0.006), _thickness(rng, 0.0012, 0.006)
+    return [_footed(rng, widths, height * share, thickness, floor)]
 
 
 def dish(rng: np.random.Generator) -> Parts:
-    radius, height = rng.uniform(0.07, 0.14), rng.uniform(0.012, 0.03)
-    base = rng.uniform(0.5, 0.75) * radius
+    radius, height = rng.uniform(0.07, 0.14), rng.uniform(0.012, 0.035)
+    base = rng.uniform(0.4, 0.8) * radius
     widths = np.array([base, base * 1.05, radius])
     heights = np.array([0.0, 0.15 * height, height])
-    return [turned(wall(widths, heights, rng.uniform(0.008, 0.02), rng.uniform(0.003, 0.006)))]
+    return [_footed(rng, widths, heights, _thickness(rng, 0.002, 0.016), _thickness(rng, 0.001, 0.006))]
 
 
 def pan(rng: np.random.Generator) -> Parts:

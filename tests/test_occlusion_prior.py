@@ -11,6 +11,7 @@ from conftest import OBJECTS, Shape, make_tabletop
 from mapping.errors import DataError
 from mapping.occlusion_prior import WEIGHTS_FILE, OcclusionPrior, save_weights
 from mapping.prior_features import UNKNOWN, ObjectBox, RayEvidence
+from mapping.prior_footprint import CELLS, Footprint
 from mapping.prior_network import PriorNetwork
 from perception.camera import invert_rigid, transform
 from perception.observe import observe
@@ -150,3 +151,22 @@ def test_weights_survive_the_file_and_wrong_ones_are_named(tmp_path):
     np.savez(tmp_path / "other.npz", something=np.zeros(3))
     with pytest.raises(DataError, match="another network"):
         OcclusionPrior.load(tmp_path / "other.npz")
+
+
+def test_plan_view_ends_where_the_seen_top_ends():
+    """A box of 16 x 10 x 20 cm: its front and top are seen, its plan view is known."""
+    rng = np.random.default_rng(0)
+    front = rng.uniform([0, -0.05, 0], [0.001, 0.05, 0.2], (20000, 3))
+    top = rng.uniform([0, -0.05, 0.199], [0.16, 0.05, 0.2], (20000, 3))
+    visible = np.concatenate([front, top]).astype(np.float32)
+    box = ObjectBox.around(visible, np.array([-0.6, 0.0, 0.5]))
+    plan = Footprint.of(box, visible)
+    cell = box.size[0] / CELLS
+    depth = np.linspace(-0.02, 0.2, 45)
+    points = np.stack([depth, 0 * depth, 0 * depth + 0.1], axis=1).astype(np.float32)
+    distance, above = plan.at(box, box.local(points))
+    true = np.minimum(np.minimum(depth, 0.16 - depth), 0.05)
+    np.testing.assert_allclose(distance, true, atol=1.5 * cell)
+    under = (depth > cell) & (depth < 0.16 - cell)
+    np.testing.assert_allclose(above[under], 0.1, atol=0.002)
+    assert np.isnan(above[depth > 0.16 + cell]).all()

@@ -11,6 +11,7 @@ from perception.camera import Camera
 from sim_scenes.sensor_noise import (
     LabelNoiseConfig,
     SensorNoiseConfig,
+    in_stereo_shadow,
     noisy_depth,
     noisy_labels,
     viewing_cosine,
@@ -70,6 +71,38 @@ def test_flying_pixels_lie_between_foreground_and_background() -> None:
     off_border = np.minimum(off_border, np.minimum(np.abs(columns - 99.5), np.abs(columns - 199.5)))
     assert off_border.max() < 2  # nowhere but at the edge
     assert np.isnan(noisy).sum() > 50
+
+
+@pytest.mark.parametrize("baseline", [0.05, -0.05])
+def test_stereo_shadow_is_as_wide_as_the_jump_in_disparity(baseline: float) -> None:
+    depth = wall(1.0)
+    depth[80:160, 100:200] = 0.5
+    shadow = in_stereo_shadow(depth, CAMERA, baseline)
+    width = 300 * 0.05 * (1 / 0.5 - 1 / 1.0)  # f b (1 / near - 1 / far) = 15 pixels
+    beside = shadow[80:160, :100] if baseline > 0 else shadow[80:160, 200:]
+    np.testing.assert_allclose(beside.sum(axis=1), width, atol=1)
+    assert shadow.sum() == beside.sum()
+    noisy = noisy_depth(depth, CAMERA, np.random.default_rng(0), SensorNoiseConfig(shadow_m=baseline))
+    assert np.isnan(noisy[shadow]).all()
+
+
+def test_creases_are_rounded_and_jumps_stay() -> None:
+    roof = wall(1.0) - 0.002 * np.abs(np.arange(320, dtype=np.float32) - 160)
+    roof[:60] = 2.0
+    config = SensorNoiseConfig(
+        axial=0.0, disparity_step=1e-9, grazing_deg=89.9, flying=0.0, edge_holes=0.0, rounding_px=3.0
+    )
+    error = noisy_depth(roof, CAMERA, np.random.default_rng(0), config) - roof
+    assert error[150, 160] < -0.001  # the crease is cut off
+    assert np.abs(error[150, 100]) < 5e-4
+    assert np.nanmax(np.abs(error[55:65])) < 0.01
+
+
+def test_waves_have_their_size() -> None:
+    config = SensorNoiseConfig(axial=0.0, disparity_step=1e-9, waves=0.005)
+    error = noisy_depth(wall(1.0), CAMERA, np.random.default_rng(0), config) - 1.0
+    assert 0.0025 < np.nanstd(error) < 0.0075
+    assert np.nanstd(np.diff(error, axis=1)) < 0.001  # neighbours share it
 
 
 def test_noise_depends_on_the_seed_alone() -> None:

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, fields
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
 from mapping.errors import FrameError
-from mapping.occlusion_prior import lattice_coordinates
+from mapping.occlusion_prior import lattice_coordinates, point_channels
 from mapping.prior_features import LATTICE, ObjectBox, RayEvidence, channels
+from mapping.prior_footprint import Footprint
 from mapping.samples import shift_along_rays
 from perception.camera import transform
 from perception.observe import observe
@@ -40,6 +45,8 @@ class Examples:
     point_behind: np.ndarray  # (B, Q) float32 [m]
     point_seen: np.ndarray  # (B, Q) int8
     point_inside: np.ndarray  # (B, Q) float32 [m]
+    plan_distance: np.ndarray  # (B, Q) float16 [m], as Footprint.at gives it
+    plan_above: np.ndarray  # (B, Q) float16 [m], likewise
     truth: np.ndarray  # (B, Q) bool
     family: np.ndarray  # (B,) str
 
@@ -56,7 +63,8 @@ class Examples:
             cells = channels(lattice_coordinates(), around, scalars)
             held = self.surface[row][None].astype(np.float32)
             lattices.append(np.concatenate([cells, held]).reshape(-1, *LATTICE))
-            points.append(channels(self.local[row], of_points, scalars).T)
+            plan = self.plan_distance[row].astype(np.float32), self.plan_above[row].astype(np.float32)
+            points.append(point_channels(self.local[row], of_points, scalars, *plan).T)
         return np.stack(lattices), self.local[rows], np.stack(points), self.truth[rows].astype(np.float32)
 
 
@@ -66,20 +74,29 @@ def make_examples(
     seed: int,
     progress: str = "scenes",
     cache: Path | None = None,
+    workers: int = 1,
 ) -> Examples:
     """Examples of all objects of `scenes` random scenes; scene i depends on (seed, i) alone.
 
-    cache: a file to keep them in, read instead when it is there.
+    workers: processes that make them, with the same result. cache: a file to keep them in, read instead when
+    it is there.
     """
     if cache is not None and cache.is_file():
         with np.load(cache) as stored:
             return Examples(**{name: stored[name] for name in stored.files})
     from tqdm import tqdm
 
+    one = partial(_examples_of, draw, seed)
     rows: list[tuple] = []
-    for index in tqdm(range(scenes), desc=progress, mininterval=5):
-        rng = np.random.default_rng([seed, index])
-        rows.extend(scene_examples(make_training_scene(draw, rng), rng))
+    with ExitStack() as stack:
+        if workers > 1:
+            # A fresh process each: a fork of one that has used torch's threads can hang.
+            pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+            made = stack.enter_context(pool).map(one, range(scenes), chunksize=4)
+        else:
+            made = map(one, range(scenes))
+        for found in tqdm(made, total=scenes, desc=progress, mininterval=5):
+            rows.extend(found)
     columns = [np.stack(column) for column in zip(*rows)]
     arrays = {field.name: column for field, column in zip(fields(Examples), columns)}
     if cache is not None:
@@ -88,6 +105,12 @@ def make_examples(
         np.savez(temporary, **arrays)  # type: ignore[arg-type]
         temporary.rename(cache)
     return Examples(**arrays)
+
+
+def _examples_of(draw: Callable[[np.random.Generator], TrainingShape], seed: int, index: int) -> list[tuple]:
+    """The rows of scene `index`."""
+    rng = np.random.default_rng([seed, index])
+    return list(scene_examples(make_training_scene(draw, rng), rng))
 
 
 def scene_examples(scene: TrainingScene, rng: np.random.Generator) -> Iterator[tuple]:
@@ -108,6 +131,8 @@ def scene_examples(scene: TrainingScene, rng: np.random.Generator) -> Iterator[t
         if len(points) < QUERIES:
             continue
         of_points = evidence(points, index)
+        local = box.local(points)
+        plan = Footprint.of(box, item.points).at(box, local)
         shape = scene.shapes[item.label]
         yield (
             box.scalars(),
@@ -115,10 +140,12 @@ def scene_examples(scene: TrainingScene, rng: np.random.Generator) -> Iterator[t
             around.seen,
             around.inside.astype(np.float16),
             box.surface_cells(item.points),
-            box.local(points),
+            local,
             of_points.behind.astype(np.float32),
             of_points.seen,
             of_points.inside.astype(np.float32),
+            plan[0].astype(np.float16),
+            plan[1].astype(np.float16),
             inside(shape, transform(T_world_table, points)),
             np.array(shape.family),
         )
