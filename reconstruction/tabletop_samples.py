@@ -15,6 +15,7 @@ from mapping.hinges import lattice_near_points
 from mapping.samples import jittered, jittered_lattice, shift_along_rays, voxel_subsample
 from perception.observation import Observation
 from perception.space import Region, Space
+from reconstruction.even_noise import spread_evenly
 from reconstruction.hidden_space import hidden_labels
 from reconstruction.training_set import TrainingSet, assemble
 
@@ -68,6 +69,11 @@ class TabletopSamples:
     shell: float = 0.02
     """Without a prior, occluded space nearer than this to a seen surface leans to that object [m]."""
 
+    pairs: bool = True
+    """False, for ablations: one sample on each surface point instead of a pair around it."""
+    noise: Literal["occluded", "near", "everywhere"] = "occluded"
+    """Where "uncertain" is learned: in occluded space or, for ablations, evenly near objects or all over."""
+
     def draw(self, observation: Observation, space: Space, rng: np.random.Generator) -> TrainingSet:
         """The training set of one observation, in its table frame."""
         seen = np.concatenate([item.points for item in observation.objects])
@@ -86,8 +92,9 @@ class TabletopSamples:
         empty, inside = [free, near[(region == Region.FREE) | (region == Region.BELOW_SUPPORT)]], []
         for item in observation.objects:
             points = item.points[voxel_subsample(item.points, self.surface_voxel, rng)]
-            empty.append(shift_along_rays(space.origin, points, -self.pair_offset))
-            inside.append(shift_along_rays(space.origin, points, self.pair_offset))
+            if self.pairs:
+                empty.append(shift_along_rays(space.origin, points, -self.pair_offset))
+            inside.append(shift_along_rays(space.origin, points, self.pair_offset if self.pairs else 0))
         if supported:
             # A dense layer right under the plane closes the objects' bottoms, a coarse one goes deeper.
             for top, bottom, spacing in (
@@ -103,7 +110,11 @@ class TabletopSamples:
             structure = self._shell_structure(observation, hidden)
         hinges, gamma = self._hinges(seen, np.concatenate([free, hidden]))
         classes = [np.concatenate(empty), *inside]
-        return assemble(classes, hidden, self._soft_labels(structure), hinges, gamma)
+        labels = self._soft_labels(structure)
+        if self.noise != "occluded":
+            near_objects = self.noise == "near"
+            hidden, labels = spread_evenly(observation, hidden, labels, low, high, near_objects, rng)
+        return assemble(classes, hidden, labels, hinges, gamma)
 
     def _hinges(self, seen: np.ndarray, covered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Hinge points (H, 3) and widths (H,): coarse over the covered space, finer near what is seen."""
