@@ -44,26 +44,28 @@ class TabletopSamples:
     """Finest hinge points lie within this distance of a seen object surface [m]; negative: none."""
     surface_voxel: float = 0.008
     """Voxel that keeps one surface pair of an object [m]."""
-    pair_offset: float = 0.004
+    pair_offset: float = 0.0025
     """A free sample this far before, an object sample this far behind each surface point [m]."""
     near_spacing: float = 0.010
     """Spacing of samples of every kind near seen object surfaces [m]."""
     near_distance: float = 0.02
     """How far from a seen object surface is near [m]."""
-    free_spacing: float = 0.025
+    free_spacing: float = 0.03
     """Spacing of free samples elsewhere [m]."""
-    occluded_spacing: float = 0.018
+    occluded_spacing: float = 0.012
     """Spacing of samples in occluded space elsewhere [m]."""
-    floor_spacing: float = 0.010
+    floor_spacing: float = 0.013
     """Spacing of empty samples right under the support plane [m]."""
-    below_spacing: float = 0.02
+    below_spacing: float = 0.03
     """Spacing of empty samples deeper under the support plane [m]."""
     below_depth: float = 0.04
     """Thickness of the layer under the support plane that is known to be empty of objects [m]."""
-    least_uncertain: float = 0.4
+    least_uncertain: float = 0.06
     """Share of "uncertain" in the label of an occluded sample whose structure is beyond doubt."""
-    most_uncertain: float = 0.9
-    """Share of "uncertain" in the label of an occluded sample of which nothing is known."""
+    most_uncertain: float = 0.95
+    """Share of "uncertain" in the label of a sample of which nothing is known."""
+    pair_uncertain: float = 0.02
+    """Share of "uncertain" in the labels of a surface pair that nothing speaks against."""
     prior: Literal["learned", "none"] = "learned"
     """What guesses the structure of occluded space: the learned occlusion prior, or a thin shell."""
     shell: float = 0.02
@@ -89,11 +91,12 @@ class TabletopSamples:
         near = jittered(near, self.near_spacing, rng)
         region = space.classify(near)
         hidden = np.concatenate([hidden, near[region == Region.OCCLUDED]])
-        empty, inside = [free, near[(region == Region.FREE) | (region == Region.BELOW_SUPPORT)]], []
+        empty = [free, near[(region == Region.FREE) | (region == Region.BELOW_SUPPORT)]]
+        before, inside = [], []
         for item in observation.objects:
             points = item.points[voxel_subsample(item.points, self.surface_voxel, rng)]
             if self.pairs:
-                empty.append(shift_along_rays(space.origin, points, -self.pair_offset))
+                before.append(shift_along_rays(space.origin, points, -self.pair_offset))
             inside.append(shift_along_rays(space.origin, points, self.pair_offset if self.pairs else 0))
         if supported:
             # A dense layer right under the plane closes the objects' bottoms, a coarse one goes deeper.
@@ -104,17 +107,21 @@ class TabletopSamples:
                 layer = np.array([*low[:2], bottom]), np.array([*high[:2], top])
                 below = self._cover(observation, *layer, spacing, rng)
                 empty.append(below[below[:, 2] < top])
-        if self.prior == "learned" and supported:
-            structure = hidden_labels(observation, space, hidden)
-        else:
-            structure = self._shell_structure(observation, hidden)
+        behind = np.concatenate([*inside, hidden])
+        structure = self._structure(observation, space, behind)
+        owner = np.repeat(np.arange(len(inside)), [len(points) for points in inside]) + 1
+        count = len(owner) if self.pairs else 0
+        labels = [
+            self._pair_labels(owner[:count] * 0, np.zeros(count), structure.shape[1]),
+            self._pair_labels(owner, 1 - structure[np.arange(len(owner)), owner], structure.shape[1]),
+            self._hidden_labels(structure[len(owner) :]),
+        ]
         hinges, gamma = self._hinges(seen, np.concatenate([free, hidden]))
-        classes = [np.concatenate(empty), *inside]
-        labels = self._soft_labels(structure)
         if self.noise != "occluded":
             near_objects = self.noise == "near"
-            hidden, labels = spread_evenly(observation, hidden, labels, low, high, near_objects, rng)
-        return assemble(classes, hidden, labels, hinges, gamma)
+            hidden, labels[2] = spread_evenly(observation, hidden, labels[2], low, high, near_objects, rng)
+        soft = np.concatenate([*before, *inside, hidden])
+        return assemble([np.concatenate(empty)], soft, np.concatenate(labels), hinges, gamma)
 
     def _hinges(self, seen: np.ndarray, covered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Hinge points (H, 3) and widths (H,): coarse over the covered space, finer near what is seen."""
@@ -145,6 +152,14 @@ class TabletopSamples:
             near |= np.einsum("ij,ij->i", gap, gap) < self.radius**2
         return points[near]
 
+    def _structure(self, observation: Observation, space: Space, points: np.ndarray) -> np.ndarray:
+        """(N, K+1) guess of {empty, object 1..K} at points (N, 3) behind what is seen."""
+        if self.prior == "learned" and observation.support is not None:
+            # What lies under the plane is empty to the prior; a pair at an object's foot may reach below it.
+            above = np.column_stack([points[:, :2], np.maximum(points[:, 2], 0)])
+            return hidden_labels(observation, space, above)
+        return self._shell_structure(observation, points)
+
     def _shell_structure(self, observation: Observation, points: np.ndarray) -> np.ndarray:
         """(N, K+1) guess of {empty, object 1..K} from the distance to each object's seen surface alone."""
         distance = np.stack([cKDTree(o.points[::4]).query(points)[0] for o in observation.objects], 1)
@@ -156,9 +171,25 @@ class TabletopSamples:
         structure[:, 0] = 1 - inside
         return structure
 
-    def _soft_labels(self, structure: np.ndarray) -> np.ndarray:
-        """Labels (N, C+1) of occluded samples: sure structure keeps its label, doubt becomes "uncertain"."""
-        entropy = -(structure * np.log(np.maximum(structure, 1e-9))).sum(1) / np.log(2)
-        rise = self.most_uncertain - self.least_uncertain
-        doubt = self.least_uncertain + rise * np.minimum(entropy, 1)
+    def _hidden_labels(self, structure: np.ndarray) -> np.ndarray:
+        """Labels (N, K+2) of occluded samples with class distributions (N, K+1): what is there, as far as
+        it is sure.
+
+        p(uncertain) is to rank errors, so its share rises linearly with the chance that the likeliest class
+        is wrong, from `least_uncertain` to `most_uncertain` at even odds.
+        """
+        doubt = np.minimum(2 * (1 - structure.max(1)), 1)
+        doubt = self.least_uncertain + (self.most_uncertain - self.least_uncertain) * doubt
         return np.column_stack([structure * (1 - doubt)[:, None], doubt])
+
+    def _pair_labels(self, classes: np.ndarray, doubt: np.ndarray, count: int) -> np.ndarray:
+        """Labels (N, K+2) of one side of surface pairs: the class (N,) seen there, and doubt (N,), the chance
+        that it is another.
+
+        Doubt, as behind the thin wall of a cup, goes to "uncertain" and to no other class: the surface was
+        seen, and keeps its place.
+        """
+        labels = np.zeros((len(classes), count + 1), np.float32)
+        labels[:, -1] = self.pair_uncertain + (self.most_uncertain - self.pair_uncertain) * doubt
+        labels[np.arange(len(classes)), classes] = 1 - labels[:, -1]
+        return labels

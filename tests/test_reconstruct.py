@@ -13,7 +13,9 @@ from perception.camera import Camera, transform
 from perception.space import Region, Space
 from reconstruction import preset, reconstruct
 from reconstruction.config import override
-from reconstruction.metrics import chamfer
+from reconstruction.metrics import chamfer, inside
+from reconstruction.tabletop_samples import TabletopSamples
+from tools.evaluation.statistics import auroc
 
 SIZE = (240, 180)
 
@@ -89,6 +91,41 @@ def test_seen_surface_is_certain_and_hidden_space_is_not(result):
     assert np.median(u[region == Region.OCCLUDED]) > np.median(u[region == Region.FREE]) + 0.2
 
 
+def test_uncertainty_ranks_errors_in_hidden_space(result):
+    """Among occluded points p(uncertain) tells wrong answers from right ones."""
+    seen = np.concatenate([item.points for item in result.observation.objects])
+    low, high = seen.min(0) - 0.05, seen.max(0) + 0.05
+    points = np.random.default_rng(0).uniform([*low[:2], 0.0], high, (40_000, 3)).astype(np.float32)
+    points = points[Space.of(result.observation).classify(points) == Region.OCCLUDED]
+    world = transform(result.T_world_table, points)
+    truth = np.zeros(len(points), int)
+    for item in result.objects:
+        truth[inside(true_meshes()[item.label], world)] = item.class_index
+    p = result.map.predict_proba(points)
+    wrong = p[:, :-1].argmax(1) != truth
+    assert auroc(p[:, -1], wrong) > 0.83
+
+
+def test_labels_of_hidden_samples_are_as_uncertain_as_their_guess_is_likely_wrong():
+    samples = TabletopSamples()
+    chance = np.linspace(1, 1 / 3, 20)  # of the likeliest of three classes
+    structure = np.column_stack([chance, (1 - chance) / 2, (1 - chance) / 2])
+    labels = samples._hidden_labels(structure)
+    np.testing.assert_allclose(labels.sum(1), 1, atol=1e-6)
+    np.testing.assert_allclose(labels[:, :-1] / labels[:, :-1].sum(1, keepdims=True), structure, atol=1e-6)
+    assert (np.diff(labels[chance > 0.5, -1]) > 0).all()
+    assert labels[[0, -1], -1] == pytest.approx([samples.least_uncertain, samples.most_uncertain])
+
+
+def test_doubt_behind_a_surface_goes_to_uncertain_and_to_no_other_class():
+    samples = TabletopSamples()
+    labels = samples._pair_labels(np.array([2, 2, 1]), np.array([0.0, 0.6, 1.0]), 3)
+    np.testing.assert_allclose(labels.sum(1), 1, atol=1e-6)
+    assert ((labels[:, :3] > 0) == np.eye(3, dtype=bool)[[2, 2, 1]]).all()
+    assert labels[0, -1] == pytest.approx(samples.pair_uncertain)
+    assert (np.diff(labels[:, -1]) > 0).all()
+
+
 def test_far_from_everything_is_uncertain(result):
     assert result.map.predict_proba(np.array([[9.0, 9.0, 9.0]]))[0, -1] > 0.9
     query = result.query(np.array([[9.0, 9.0, 9.0]]))
@@ -101,9 +138,9 @@ def test_query_answers_in_the_world_frame(result):
         observed = next(o for o in result.observation.objects if o.label == item.label)
         origin = Space.of(result.observation).origin
         point = observed.points[len(observed.points) // 2].astype(float)
-        inside = point + 0.006 * (point - origin) / np.linalg.norm(point - origin)
+        behind = point + 0.006 * (point - origin) / np.linalg.norm(point - origin)
         before = point - 0.02 * (point - origin) / np.linalg.norm(point - origin)
-        query = result.query(transform(result.T_world_table, np.stack([inside, before])))
+        query = result.query(transform(result.T_world_table, np.stack([behind, before])))
         assert query.label.tolist() == [item.label, 0]
         assert query.occupancy[0] > 0.5 > query.occupancy[1]
         assert query.gradient.shape == (2, 3)
