@@ -179,7 +179,9 @@ class TabletopSamples:
         is wrong, from `least_uncertain` to `most_uncertain` at even odds.
         """
         doubt = np.minimum(2 * (1 - structure.max(1)), 1)
-        doubt = self.least_uncertain + (self.most_uncertain - self.least_uncertain) * doubt
+        # The thin shell is a rule of thumb: nothing it says of hidden space is beyond doubt.
+        least = self.least_uncertain if self.prior == "learned" else self.most_uncertain / 2
+        doubt = least + (self.most_uncertain - least) * doubt
         return np.column_stack([structure * (1 - doubt)[:, None], doubt])
 
     def _pair_labels(self, classes: np.ndarray, doubt: np.ndarray, count: int) -> np.ndarray:
