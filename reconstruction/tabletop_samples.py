@@ -15,6 +15,7 @@ from mapping.hinges import lattice_near_points
 from mapping.samples import jittered, jittered_lattice, shift_along_rays, voxel_subsample
 from perception.observation import Observation
 from perception.space import Region, Space
+from reconstruction.even_noise import spread_evenly
 from reconstruction.hidden_space import hidden_labels
 from reconstruction.training_set import TrainingSet, assemble
 
@@ -70,6 +71,11 @@ class TabletopSamples:
     shell: float = 0.02
     """Without a prior, occluded space nearer than this to a seen surface leans to that object [m]."""
 
+    pairs: bool = True
+    """False, for ablations: one sample on each surface point instead of a pair around it."""
+    noise: Literal["occluded", "near", "everywhere"] = "occluded"
+    """Where "uncertain" is learned: in occluded space or, for ablations, evenly near objects or all over."""
+
     def draw(self, observation: Observation, space: Space, rng: np.random.Generator) -> TrainingSet:
         """The training set of one observation, in its table frame."""
         seen = np.concatenate([item.points for item in observation.objects])
@@ -89,8 +95,9 @@ class TabletopSamples:
         before, inside = [], []
         for item in observation.objects:
             points = item.points[voxel_subsample(item.points, self.surface_voxel, rng)]
-            before.append(shift_along_rays(space.origin, points, -self.pair_offset))
-            inside.append(shift_along_rays(space.origin, points, self.pair_offset))
+            if self.pairs:
+                before.append(shift_along_rays(space.origin, points, -self.pair_offset))
+            inside.append(shift_along_rays(space.origin, points, self.pair_offset if self.pairs else 0))
         if supported:
             # A dense layer right under the plane closes the objects' bottoms, a coarse one goes deeper.
             for top, bottom, spacing in (
@@ -103,13 +110,17 @@ class TabletopSamples:
         behind = np.concatenate([*inside, hidden])
         structure = self._structure(observation, space, behind)
         owner = np.repeat(np.arange(len(inside)), [len(points) for points in inside]) + 1
+        count = len(owner) if self.pairs else 0
         labels = [
-            self._pair_labels(np.zeros(len(owner), int), np.zeros(len(owner)), structure.shape[1]),
+            self._pair_labels(owner[:count] * 0, np.zeros(count), structure.shape[1]),
             self._pair_labels(owner, 1 - structure[np.arange(len(owner)), owner], structure.shape[1]),
             self._hidden_labels(structure[len(owner) :]),
         ]
         hinges, gamma = self._hinges(seen, np.concatenate([free, hidden]))
-        soft = np.concatenate([*before, behind])
+        if self.noise != "occluded":
+            near_objects = self.noise == "near"
+            hidden, labels[2] = spread_evenly(observation, hidden, labels[2], low, high, near_objects, rng)
+        soft = np.concatenate([*before, *inside, hidden])
         return assemble([np.concatenate(empty)], soft, np.concatenate(labels), hinges, gamma)
 
     def _hinges(self, seen: np.ndarray, covered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

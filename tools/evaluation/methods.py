@@ -6,9 +6,11 @@ observed object; probabilities are among these, whatever a method does with its 
 
 from __future__ import annotations
 
+import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -25,7 +27,7 @@ from mapping.errors import ConfigError
 from mapping.lattice import LatticeEvaluator
 from perception.observation import Observation
 from perception.space import Space
-from reconstruction.config import preset
+from reconstruction.config import override, preset
 from reconstruction.field import OUTSIDE, Field, evaluate_field
 from reconstruction.paper_samples import PaperSamples
 from reconstruction.training_set import TrainingSet
@@ -160,10 +162,14 @@ Method = Callable[[Observation, Space, np.random.Generator], FittedMap]
 
 
 def fit_contramap(
-    name: str, observation: Observation, space: Space, rng: np.random.Generator, device: str = "cpu"
+    name: str,
+    observation: Observation,
+    space: Space,
+    rng: np.random.Generator,
+    samples: dict[str, Any] | None = None,
 ) -> FittedMap:
-    """ContraMap as the preset `name` has it."""
-    config = preset(name, device)
+    """ContraMap as the preset `name` has it, but for some settings of its samples."""
+    config = override(preset(name, "cpu"), {"samples": samples or {}})
     training = config.samples.draw(observation, space, rng)
     model = ContraMap(config.map).fit(training.X, training.y, hinges=training.hinges, gamma=training.gamma)
     return FittedContraMap(model, training)
@@ -229,10 +235,23 @@ SEEDLESS = frozenset({"tsdf"})
 
 
 def method(name: str) -> Method:
-    """A method by name; ConfigError lists the valid ones."""
+    """A method by name, or ContraMap with other samples: `contramap:prior=none,noise=near` (fields of
+    TabletopSamples). ConfigError lists the valid ones."""
+    base, _, settings = name.partition(":")
+    if settings and base == "contramap":
+        return partial(fit_contramap, "tabletop", samples=dict(map(_setting, settings.split(","))))
     if name not in METHODS:
         raise ConfigError(f"unknown method {name!r}; valid methods: {', '.join(METHODS)}")
     return METHODS[name]
+
+
+def _setting(text: str) -> tuple[str, Any]:
+    """`field=value` with numbers and true/false as such."""
+    name, _, value = text.partition("=")
+    try:
+        return name, json.loads(value)
+    except ValueError:
+        return name, value
 
 
 def observed_samples(
