@@ -18,6 +18,7 @@ from mapping.errors import ConfigError, DataError
 from perception.lidar import BeamConfig
 from sim_scenes.toy2d import ToyConfig
 from tools.reproduce import landscape as landscape_module
+from tools.reproduce.commands import occupancy
 from tools.reproduce.hinges import HingesConfig, run_hinges
 from tools.reproduce.landscape import LANDSCAPES, PAPER_LOGS, Landscape, load_log, split_log
 from tools.reproduce.occupancy import run_occupancy
@@ -120,6 +121,13 @@ def test_merged_samples_give_nearly_the_same_map(room_log):
         with np.load(room_log / name / "runs" / "room-contramap-0.npz") as stored:
             drawn[name] = stored["probabilities"].astype(float)
     assert np.abs(drawn["every"] - drawn["merged"]).mean() < 0.02
+
+
+def test_the_command_can_keep_every_sample(room_log):
+    out = room_log / "out"
+    occupancy(data=room_log, out=out, logs=("room",), methods=("hilbert",), repeats=1, keep_every_sample=True)
+    settings = json.loads((out / "runs" / "room-hilbert-0.json").read_text())["settings"]
+    assert settings["merge_data"] == settings["merge_noise"] == 0.0
 
 
 def test_timed_repeats_what_is_quick_and_keeps_the_result():

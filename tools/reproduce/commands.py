@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -51,6 +52,7 @@ def occupancy(
     seed: int = 0,
     repeats: int = 3,
     held_out_run: int = 1,
+    keep_every_sample: bool = False,
     overwrite: bool = False,
     json: JsonFile = None,
 ) -> None:
@@ -69,6 +71,7 @@ def occupancy(
         seed: First seed.
         repeats: Number of seeds.
         held_out_run: Consecutive scans that are held out together; 1 splits at random.
+        keep_every_sample: Do not merge samples before training.
         overwrite: Compute again what is there already.
         json: Also write the figures to this file.
     """
@@ -77,6 +80,8 @@ def occupancy(
     from tools.reproduce.occupancy_methods import METHODS, OccupancyConfig
 
     config = OccupancyConfig(held_out_run=held_out_run)
+    if keep_every_sample:
+        config = replace(config, merge_data=0.0, merge_noise=0.0)
     summary = run_occupancy(
         data,
         out,
