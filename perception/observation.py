@@ -70,3 +70,12 @@ class Observation:
     objects: tuple[ObservedObject, ...]
     skipped: tuple[Skipped, ...] = ()
     notes: tuple[str, ...] = field(default=())
+
+    def near_objects(self, points: np.ndarray, distance: float) -> np.ndarray:
+        """Which points (N, 3) of the table frame lie within `distance` [m] of an object's box: (N,) bool."""
+        near = np.zeros(len(points), bool)
+        for item in self.objects:
+            low, high = item.bounds
+            gap = np.maximum(np.maximum(low - points, points - high), 0)
+            near |= np.einsum("ij,ij->i", gap, gap) < distance**2
+        return near

@@ -33,16 +33,6 @@ def spread_evenly(
     noise = np.empty((0, 3), np.float32)
     while len(noise) < count:
         drawn = rng.uniform(low, high, (2 * count, 3)).astype(np.float32)
-        noise = np.concatenate([noise, drawn[_near(observation, drawn)] if near else drawn])
+        noise = np.concatenate([noise, drawn[observation.near_objects(drawn, NEAR)] if near else drawn])
     one_hot = np.tile(np.eye(labels.shape[1], dtype=labels.dtype)[-1], (count, 1))
     return np.concatenate([points[kept], noise[:count]]), np.concatenate([known, one_hot])
-
-
-def _near(observation: Observation, points: np.ndarray) -> np.ndarray:
-    """Which points (N, 3) lie within NEAR of an object's box: (N,) bool."""
-    close = np.zeros(len(points), bool)
-    for item in observation.objects:
-        low, high = item.bounds
-        gap = np.maximum(np.maximum(low - points, points - high), 0)
-        close |= np.einsum("ij,ij->i", gap, gap) < NEAR**2
-    return close

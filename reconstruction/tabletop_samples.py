@@ -54,6 +54,8 @@ class TabletopSamples:
     """Spacing of free samples elsewhere [m]."""
     occluded_spacing: float = 0.012
     """Spacing of samples in occluded space elsewhere [m]."""
+    unknown_distance: float = 0.06
+    """Samples where nothing was measured lie within this distance of an object's box [m]."""
     floor_spacing: float = 0.013
     """Spacing of empty samples right under the support plane [m]."""
     below_spacing: float = 0.03
@@ -86,11 +88,14 @@ class TabletopSamples:
         free = self._cover(observation, low, high, self.free_spacing, rng)
         free = free[space.classify(free) == Region.FREE]
         hidden = self._cover(observation, low, high, self.occluded_spacing, rng)
-        hidden = hidden[space.classify(hidden) == Region.OCCLUDED]
+        region = space.classify(hidden)
+        # Where nothing was measured beside an object, the kernels would let it grow unchecked.
+        unknown = (region == Region.OUT_OF_VIEW) & observation.near_objects(hidden, self.unknown_distance)
+        hidden = hidden[(region == Region.OCCLUDED) | unknown]
         near = lattice_near_points(seen, self.near_distance, self.near_spacing)
         near = jittered(near, self.near_spacing, rng)
         region = space.classify(near)
-        hidden = np.concatenate([hidden, near[region == Region.OCCLUDED]])
+        hidden = np.concatenate([hidden, near[(region == Region.OCCLUDED) | (region == Region.OUT_OF_VIEW)]])
         empty = [free, near[(region == Region.FREE) | (region == Region.BELOW_SUPPORT)]]
         before, inside = [], []
         for item in observation.objects:
@@ -145,12 +150,7 @@ class TabletopSamples:
     ) -> np.ndarray:
         """Jittered samples (M, 3) of the box low..high that lie within `radius` of any object's box."""
         points = jittered_lattice(low, high, spacing, rng)
-        near = np.zeros(len(points), bool)
-        for item in observation.objects:
-            box_low, box_high = item.bounds
-            gap = np.maximum(np.maximum(box_low - points, points - box_high), 0)
-            near |= np.einsum("ij,ij->i", gap, gap) < self.radius**2
-        return points[near]
+        return points[observation.near_objects(points, self.radius)]
 
     def _structure(self, observation: Observation, space: Space, points: np.ndarray) -> np.ndarray:
         """(N, K+1) guess of {empty, object 1..K} at points (N, 3) behind what is seen."""

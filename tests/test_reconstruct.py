@@ -126,6 +126,21 @@ def test_doubt_behind_a_surface_goes_to_uncertain_and_to_no_other_class():
     assert (np.diff(labels[:, -1]) > 0).all()
 
 
+def test_an_object_does_not_grow_into_a_hole_of_the_depth_image(frame, result):
+    # As beside depth edges of a stereo camera: 40 pixels on both sides of the tall box are lost.
+    labels = frame.labels == 1
+    columns, width = np.arange(frame.depth.shape[1]), frame.depth.shape[1]
+    first = np.where(labels.any(1), labels.argmax(1), -width)[:, None]
+    last = np.where(labels.any(1), width - 1 - labels[:, ::-1].argmax(1), 2 * width)[:, None]
+    left, right = (columns > first - 40) & (columns < first), (columns > last) & (columns < last + 40)
+    hole = (left | right) & (frame.labels == 0)
+    depth = np.where(hole, np.nan, frame.depth).astype(np.float32)
+    holed = reconstruct(replace(frame, depth=depth))
+    whole, found = (next(o for o in r.objects if o.label == 1).mesh for r in (result, holed))
+    assert hole.sum() > 1000
+    assert found.bounds == pytest.approx(whole.bounds, abs=0.012)
+
+
 def test_far_from_everything_is_uncertain(result):
     assert result.map.predict_proba(np.array([[9.0, 9.0, 9.0]]))[0, -1] > 0.9
     query = result.query(np.array([[9.0, 9.0, 9.0]]))
