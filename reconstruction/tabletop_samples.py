@@ -68,6 +68,12 @@ class TabletopSamples:
     """Share of "uncertain" in the label of a sample of which nothing is known."""
     pair_uncertain: float = 0.02
     """Share of "uncertain" in the labels of a surface pair that nothing speaks against."""
+    wall: float = 0.010
+    """Hidden space nearer than this behind an object's seen surface is not sampled [m]: the surface pairs say
+    what is there. With such samples, thin walls came out as lace."""
+    most_pair_uncertain: float = 0.5
+    """Share of "uncertain" in the label of a sample behind a seen surface that the prior takes for empty: a
+    thin wall. More ranks errors better and tears more holes into walls."""
     prior: Literal["learned", "none"] = "learned"
     """What guesses the structure of occluded space: the learned occlusion prior, or a thin shell."""
     shell: float = 0.02
@@ -96,6 +102,7 @@ class TabletopSamples:
         near = jittered(near, self.near_spacing, rng)
         region = space.classify(near)
         hidden = np.concatenate([hidden, near[(region == Region.OCCLUDED) | (region == Region.OUT_OF_VIEW)]])
+        hidden = hidden[~self._within_wall(observation, space, hidden)]
         empty = [free, near[(region == Region.FREE) | (region == Region.BELOW_SUPPORT)]]
         before, inside = [], []
         for item in observation.objects:
@@ -152,6 +159,14 @@ class TabletopSamples:
         points = jittered_lattice(low, high, spacing, rng)
         return points[observation.near_objects(points, self.radius)]
 
+    def _within_wall(self, observation: Observation, space: Space, points: np.ndarray) -> np.ndarray:
+        """Which points (N, 3) lie so little behind an object's seen surface that they belong to its wall."""
+        owned = np.zeros(observation.depth.size, bool)
+        for item in observation.objects:
+            owned[item.pixels] = True
+        pixel = space.pixel_of(points)
+        return (pixel >= 0) & owned[pixel] & (space.depth_behind(points) < self.wall)
+
     def _structure(self, observation: Observation, space: Space, points: np.ndarray) -> np.ndarray:
         """(N, K+1) guess of {empty, object 1..K} at points (N, 3) behind what is seen."""
         if self.prior == "learned" and observation.support is not None:
@@ -192,6 +207,6 @@ class TabletopSamples:
         seen, and keeps its place.
         """
         labels = np.zeros((len(classes), count + 1), np.float32)
-        labels[:, -1] = self.pair_uncertain + (self.most_uncertain - self.pair_uncertain) * doubt
+        labels[:, -1] = self.pair_uncertain + (self.most_pair_uncertain - self.pair_uncertain) * doubt
         labels[np.arange(len(classes)), classes] = 1 - labels[:, -1]
         return labels
