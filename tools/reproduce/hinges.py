@@ -170,6 +170,8 @@ def _draw(path: Path, summary: dict[str, Any]) -> None:
         axis.set(
             xscale="log", xlabel="hinge points", ylabel=label, yscale="linear" if key == "auc" else "log"
         )
+        axis.set_xticks(numbers, labels=map(str, numbers))
+        axis.xaxis.minorticks_off()
         axis.grid(alpha=0.3, which="both")
     axes[0].legend(fontsize=8)
     save_figure(figure, path)
