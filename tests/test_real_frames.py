@@ -10,10 +10,15 @@ from sim_scenes.ycb import find_ycb
 from tools.real_frames import compare, load_real_frames
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "real_rgbd"
-QUICK = ("6dof_graspnet_demo/mustard", "posecnn_pytorch_demo/000000", "graspnet_example")
+QUICK = (
+    "6dof_graspnet_demo/mustard",
+    "6dof_graspnet_demo/cheezit",
+    "posecnn_pytorch_demo/000000",
+    "posecnn_pytorch_demo/000002",
+    "graspnet_example",
+)
 SINGLE = (
     "blue_mug",
-    "cheezit",
     "cylinder",
     "green_bowl",
     "pepper",
@@ -22,7 +27,7 @@ SINGLE = (
     "white_bowl",
     "white_mug",
 )
-SLOW = [*(f"6dof_graspnet_demo/{name}" for name in SINGLE), "posecnn_pytorch_demo/000002"]
+SLOW = [f"6dof_graspnet_demo/{name}" for name in SINGLE]
 
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no real frames at {DATA}")
 
@@ -39,5 +44,5 @@ def test_every_labelled_object_is_a_closed_mesh(name):
     for row in compare(real, result, find_ycb()):
         if "iou" in row:
             assert row["iou"] > 0.2
-            # Heights are seen; only widths and depths are guessed.
-            assert abs(row["size_mm"][0] - row["true_size_mm"][0]) < 60
+            true = np.array(row["true_size_mm"])
+            assert (np.abs(np.array(row["size_mm"]) - true) <= np.maximum(0.25 * true, 20)).all(), row
