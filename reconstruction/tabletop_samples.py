@@ -68,10 +68,10 @@ class TabletopSamples:
     """Share of "uncertain" in the label of a sample of which nothing is known."""
     pair_uncertain: float = 0.02
     """Share of "uncertain" in the labels of a surface pair that nothing speaks against."""
-    wall: float = 0.010
+    wall: float = 0.014
     """Hidden space nearer than this behind an object's seen surface is not sampled [m]: the surface pairs say
     what is there. With such samples, thin walls came out as lace."""
-    most_pair_uncertain: float = 0.5
+    most_pair_uncertain: float = 0.8
     """Share of "uncertain" in the label of a sample behind a seen surface that the prior takes for empty: a
     thin wall. More ranks errors better and tears more holes into walls."""
     prior: Literal["learned", "none"] = "learned"
