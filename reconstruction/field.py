@@ -22,6 +22,8 @@ SKIP_LOG_ODDS = -4.0
 """A block is skipped when every coarse node in or beside it has log odds of "object" below this."""
 OUTSIDE = -20.0
 """Log odds given to nodes of skipped blocks."""
+FLOOR_SLOPE = 2000.0
+"""Log odds [1/m] may rise this steeply above the floor."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +48,13 @@ class Field:
         return x, y, z
 
 
-def evaluate_field(model: ContraMap, lows: np.ndarray, highs: np.ndarray, spacing: float) -> Field:
+def evaluate_field(
+    model: ContraMap, lows: np.ndarray, highs: np.ndarray, spacing: float, floor: float | None = None
+) -> Field:
     """Evaluate a map on one lattice of `spacing` [m] over boxes lows..highs (K, 3) [m].
 
-    Blocks that touch no box, or that the map knows to be empty, are skipped.
+    Blocks that touch no box, or that the map knows to be empty, are skipped. floor: no object is below this
+    height [m].
     """
     low, high = lows.min(0), highs.max(0)
     count = np.ceil((np.asarray(high) - low) / (spacing * BLOCK)).astype(int)
@@ -78,6 +83,11 @@ def evaluate_field(model: ContraMap, lows: np.ndarray, highs: np.ndarray, spacin
         structure = total - share[-1]
         others = (structure - share[1:-1]).clamp_min_(1e-9)
         log_odds[(slice(None), *window)] = (share[1:-1].clamp_min(1e-9) / others).log_().cpu().numpy()
+
+        if floor is not None and axes[2][window[2]][0] < floor + spacing:
+            # A steep ramp rather than a step: the surface is to end at the floor, not half a cell from it.
+            limit = (FLOOR_SLOPE * (axes[2][window[2]] - floor)).astype(np.float32)
+            np.minimum(log_odds[(slice(None), *window)], limit, out=log_odds[(slice(None), *window)])
 
     corners = origin + side * np.argwhere(peak > SKIP_LOG_ODDS)
     touched = (corners[:, None] <= highs) & (corners[:, None] + side >= lows)

@@ -19,6 +19,8 @@ class MeshConfig:
     """Lattice spacing [m]; also about the edge length of the triangles."""
     margin: float = 0.10
     """The hidden part of an object is looked for this far beyond its visible points [m]."""
+    floor: float | None = -0.0015
+    """Nothing reaches below this height over the support plane [m]; None: meshes may."""
     smallest_part: float = 0.05
     """Parts of an object smaller than this share of its largest part are dropped."""
     max_uncertainty: float | None = None

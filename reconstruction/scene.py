@@ -46,7 +46,8 @@ def reconstruct(frame: Frame, config: PipelineConfig | None = None, seed: int = 
         )
     with _timed(timings, "field"):
         lows, highs = object_space(observation, config.mesh.margin)
-        field = evaluate_field(model, lows, highs, config.mesh.spacing)
+        floor = config.mesh.floor if observation.support is not None else None
+        field = evaluate_field(model, lows, highs, config.mesh.spacing, floor)
     T_world_table = frame.camera.T_world_camera @ np.linalg.inv(observation.T_table_camera)
     objects: list[ReconstructedObject] = []
     fields: list[ObjectField] = []

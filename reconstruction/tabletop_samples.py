@@ -5,7 +5,7 @@ Knows what one observation says of free, occluded and supporting space; knows no
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -17,7 +17,19 @@ from perception.observation import Observation
 from perception.space import Region, Space
 from reconstruction.even_noise import spread_evenly
 from reconstruction.hidden_space import hidden_labels
+from reconstruction.tabletop_labels import TabletopLabels
 from reconstruction.training_set import TrainingSet, assemble
+
+FOOT_CLEARANCE = 0.0015
+"""Samples keep this distance from the support plane, which is known no better [m]."""
+UPWARDS = np.array([1, 1, -1], np.float32)
+"""Mirrors points at the support plane."""
+LEVEL = np.array([1, 1, 0], np.float32)
+"""Drops points on the support plane."""
+DEEPER_SHARE = 0.3
+"""As many more samples, as a share of those right under a foot, lie deeper."""
+DEEPER = (0.005, 0.020)
+"""How deep under the support plane [m]."""
 
 
 @dataclass(frozen=True)
@@ -42,10 +54,21 @@ class TabletopSamples:
     """Kernel width of the finest hinge points [1/m^2]."""
     finest_distance: float = 0.0
     """Finest hinge points lie within this distance of a seen object surface [m]; negative: none."""
-    surface_voxel: float = 0.008
+    thin_spacing: float = 0.00625
+    """Spacing of the hinge lattice on thin walls and thin things [m]; 0: none."""
+    thin_gamma: float = 32000.0
+    """Kernel width of the hinge points there [1/m^2]."""
+    thin: float = 0.5
+    """A wall is thin where the chance that it reaches down to `wall_depth` is below this, or where the
+    support plane comes first."""
+    surface_voxel: float = 0.007
     """Voxel that keeps one surface pair of an object [m]."""
     pair_offset: float = 0.0025
-    """A free sample this far before, an object sample this far behind each surface point [m]."""
+    """A free sample this far before each surface point [m]."""
+    pair_depth: float = 0.0015
+    """An object sample this far behind it [m]; less than before it, for walls are thin."""
+    wall_depth: float = 0.007
+    """A third sample this far behind it [m]: is there more than a thin wall?"""
     near_spacing: float = 0.010
     """Spacing of samples of every kind near seen object surfaces [m]."""
     near_distance: float = 0.02
@@ -58,24 +81,21 @@ class TabletopSamples:
     """Samples where nothing was measured lie within this distance of an object's box [m]."""
     floor_spacing: float = 0.013
     """Spacing of empty samples right under the support plane [m]."""
+    foot_spacing: float = 0.008
+    """Spacing of empty samples right under what may be an object's hidden foot [m]."""
+    foot_distance: float = 0.02
+    """A foot lies within this distance of the box of what is seen of its object [m]."""
     below_spacing: float = 0.03
     """Spacing of empty samples deeper under the support plane [m]."""
     below_depth: float = 0.04
     """Thickness of the layer under the support plane that is known to be empty of objects [m]."""
-    least_uncertain: float = 0.06
-    """Share of "uncertain" in the label of an occluded sample whose structure is beyond doubt."""
-    most_uncertain: float = 0.95
-    """Share of "uncertain" in the label of a sample of which nothing is known."""
-    pair_uncertain: float = 0.02
-    """Share of "uncertain" in the labels of a surface pair that nothing speaks against."""
     wall: float = 0.014
-    """Hidden space nearer than this behind an object's seen surface is not sampled [m]: the surface pairs say
-    what is there. With such samples, thin walls came out as lace."""
-    most_pair_uncertain: float = 0.8
-    """Share of "uncertain" in the label of a sample behind a seen surface that the prior takes for empty: a
-    thin wall. More ranks errors better and tears more holes into walls."""
+    """Hidden space nearer than this behind an object's seen surface is not sampled [m]: surface pairs and
+    wall samples say what is there. With such samples, thin walls came out as lace."""
     prior: Literal["learned", "none"] = "learned"
     """What guesses the structure of occluded space: the learned occlusion prior, or a thin shell."""
+    labels: TabletopLabels = field(default_factory=TabletopLabels)
+    """How sure the labels are."""
     shell: float = 0.02
     """Without a prior, occluded space nearer than this to a seen surface leans to that object [m]."""
 
@@ -91,6 +111,52 @@ class TabletopSamples:
         supported = observation.support is not None
         if supported:
             low[2] = 0.0
+        free, hidden, empty = self._space_samples(observation, space, seen, low, high, rng)
+        below, foot = np.empty((2, 0, 3), np.float32)
+        if supported:
+            below = self._below(observation, low, high, rng)
+            foot = self._feet(observation, space, low, high, rng)
+        before, inside, wall, owner = self._surface_samples(observation, space, rng)
+        within = np.ones(len(wall), bool)
+        if supported:
+            # Nothing reaches into the table.
+            inside[:, 2] = np.maximum(inside[:, 2], FOOT_CLEARANCE)
+            within = wall[:, 2] > FOOT_CLEARANCE
+        asked = np.concatenate([inside, wall, foot * UPWARDS, hidden])
+        structure = self._structure(observation, space, asked)
+        ends = np.cumsum([len(inside), len(wall), len(foot)])
+        at_inside, at_wall, at_foot, at_hidden = np.split(structure, ends)
+        rows, count = np.arange(len(owner)), structure.shape[1]
+        fill = at_wall[rows, owner]
+        thin = (fill < self.thin) | ~within
+        hinges, gamma = self._hinges(seen, foot, inside[thin], np.concatenate([free, hidden]))
+        # The thin shell is a rule of thumb: nothing it says of hidden space is beyond doubt.
+        least = None if self.prior == "learned" else self.labels.most_uncertain / 2
+        hidden_labels = self.labels.hidden(at_hidden, least)
+        if self.noise != "occluded":
+            near = self.noise == "near"
+            hidden, hidden_labels = spread_evenly(observation, hidden, hidden_labels, low, high, near, rng)
+        soft = [
+            (inside, self.labels.pair(owner, 1 - at_inside[rows, owner], count)),
+            (foot, self.labels.foot(at_foot)),
+            (hidden, hidden_labels),
+        ]
+        if self.pairs:
+            soft.append((before, self.labels.pair(owner * 0, np.zeros(len(owner)), count)))
+            soft.append((wall[within], self.labels.wall(owner, fill, count)[within]))
+        points, labels = map(np.concatenate, zip(*soft))
+        return assemble([np.concatenate([empty, below])], points, labels, hinges, gamma)
+
+    def _space_samples(
+        self,
+        observation: Observation,
+        space: Space,
+        seen: np.ndarray,
+        low: np.ndarray,
+        high: np.ndarray,
+        rng: np.random.Generator,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Samples of free space away from objects, of hidden space, and all that are known to be empty."""
         free = self._cover(observation, low, high, self.free_spacing, rng)
         free = free[space.classify(free) == Region.FREE]
         hidden = self._cover(observation, low, high, self.occluded_spacing, rng)
@@ -103,47 +169,71 @@ class TabletopSamples:
         region = space.classify(near)
         hidden = np.concatenate([hidden, near[(region == Region.OCCLUDED) | (region == Region.OUT_OF_VIEW)]])
         hidden = hidden[~self._within_wall(observation, space, hidden)]
-        empty = [free, near[(region == Region.FREE) | (region == Region.BELOW_SUPPORT)]]
-        before, inside = [], []
-        for item in observation.objects:
-            points = item.points[voxel_subsample(item.points, self.surface_voxel, rng)]
-            if self.pairs:
-                before.append(shift_along_rays(space.origin, points, -self.pair_offset))
-            inside.append(shift_along_rays(space.origin, points, self.pair_offset if self.pairs else 0))
-        if supported:
-            # A dense layer right under the plane closes the objects' bottoms, a coarse one goes deeper.
-            for top, bottom, spacing in (
-                (0.0, -self.pair_offset, self.floor_spacing),
-                (-self.pair_offset, -self.below_depth, self.below_spacing),
-            ):
-                layer = np.array([*low[:2], bottom]), np.array([*high[:2], top])
-                below = self._cover(observation, *layer, spacing, rng)
-                empty.append(below[below[:, 2] < top])
-        behind = np.concatenate([*inside, hidden])
-        structure = self._structure(observation, space, behind)
-        owner = np.repeat(np.arange(len(inside)), [len(points) for points in inside]) + 1
-        count = len(owner) if self.pairs else 0
-        labels = [
-            self._pair_labels(owner[:count] * 0, np.zeros(count), structure.shape[1]),
-            self._pair_labels(owner, 1 - structure[np.arange(len(owner)), owner], structure.shape[1]),
-            self._hidden_labels(structure[len(owner) :]),
-        ]
-        hinges, gamma = self._hinges(seen, np.concatenate([free, hidden]))
-        if self.noise != "occluded":
-            near_objects = self.noise == "near"
-            hidden, labels[2] = spread_evenly(observation, hidden, labels[2], low, high, near_objects, rng)
-        soft = np.concatenate([*before, *inside, hidden])
-        return assemble([np.concatenate(empty)], soft, np.concatenate(labels), hinges, gamma)
+        empty = near[(region == Region.FREE) | (region == Region.BELOW_SUPPORT)]
+        return free, hidden, np.concatenate([free, empty])
 
-    def _hinges(self, seen: np.ndarray, covered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Hinge points (H, 3) and widths (H,): coarse over the covered space, finer near what is seen."""
+    def _surface_samples(
+        self, observation: Observation, space: Space, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Samples (N, 3) before seen surfaces, right behind them and in their walls; class (N,) of each."""
+        points = [
+            item.points[voxel_subsample(item.points, self.surface_voxel, rng)] for item in observation.objects
+        ]
+        owner = np.repeat(np.arange(len(points)), [len(of_one) for of_one in points]) + 1
+        surface = np.concatenate(points)
+        offsets = (-self.pair_offset, self.pair_depth if self.pairs else 0.0, self.wall_depth)
+        before, inside, wall = (shift_along_rays(space.origin, surface, offset) for offset in offsets)
+        return before, inside, wall, owner
+
+    def _below(
+        self, observation: Observation, low: np.ndarray, high: np.ndarray, rng: np.random.Generator
+    ) -> np.ndarray:
+        """Samples (M, 3) under the support plane: a dense layer right under it, a coarse one deeper."""
+        layers = []
+        for top, bottom, spacing in (
+            (0.0, -self.pair_offset, self.floor_spacing),
+            (-self.pair_offset, -self.below_depth, self.below_spacing),
+        ):
+            layer = np.array([*low[:2], bottom]), np.array([*high[:2], top])
+            points = self._cover(observation, *layer, spacing, rng)
+            layers.append(points[points[:, 2] < top])
+        return np.concatenate(layers)
+
+    def _feet(
+        self,
+        observation: Observation,
+        space: Space,
+        low: np.ndarray,
+        high: np.ndarray,
+        rng: np.random.Generator,
+    ) -> np.ndarray:
+        """Samples (M, 3) under the support plane where an object may stand unseen, most of them right under
+        it: they close the objects' bottoms."""
+        points = jittered_lattice(low * LEVEL, high * LEVEL, self.foot_spacing, rng)
+        points = points[observation.near_objects(points, self.foot_distance)]
+        points[:, 2] = FOOT_CLEARANCE
+        points = points[space.classify(points) != Region.FREE]
+        deeper = points[rng.random(len(points)) < DEEPER_SHARE]
+        points[:, 2] = -FOOT_CLEARANCE
+        deeper[:, 2] = -rng.uniform(*DEEPER, len(deeper))
+        return np.concatenate([points, deeper])
+
+    def _hinges(
+        self, seen: np.ndarray, foot: np.ndarray, thin: np.ndarray, covered: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Hinge points (H, 3) and widths (H,): coarse over the covered space, finer near what is seen, finest
+        on thin walls."""
         lattices = [
             (lattice_near_points(covered, 0.0, self.coarse_spacing), self.coarse_gamma),
             (lattice_near_points(seen, self.fine_distance, self.fine_spacing), self.fine_gamma),
         ]
         if self.finest_distance >= 0:
-            finest = lattice_near_points(seen, self.finest_distance, self.finest_spacing)
+            ground = np.concatenate([seen, foot])
+            finest = lattice_near_points(ground, self.finest_distance, self.finest_spacing)
             lattices.append((finest, self.finest_gamma))
+        if self.thin_spacing > 0 and len(thin):
+            on_walls = lattice_near_points(thin, 0.0, self.thin_spacing)
+            lattices.append((on_walls, self.thin_gamma))
         points, widths = zip(*lattices)
         return np.concatenate(points), np.repeat(widths, [len(p) for p in points])
 
@@ -185,28 +275,3 @@ class TabletopSamples:
         structure[rows, nearest + 1] = inside
         structure[:, 0] = 1 - inside
         return structure
-
-    def _hidden_labels(self, structure: np.ndarray) -> np.ndarray:
-        """Labels (N, K+2) of occluded samples with class distributions (N, K+1): what is there, as far as
-        it is sure.
-
-        p(uncertain) is to rank errors, so its share rises linearly with the chance that the likeliest class
-        is wrong, from `least_uncertain` to `most_uncertain` at even odds.
-        """
-        doubt = np.minimum(2 * (1 - structure.max(1)), 1)
-        # The thin shell is a rule of thumb: nothing it says of hidden space is beyond doubt.
-        least = self.least_uncertain if self.prior == "learned" else self.most_uncertain / 2
-        doubt = least + (self.most_uncertain - least) * doubt
-        return np.column_stack([structure * (1 - doubt)[:, None], doubt])
-
-    def _pair_labels(self, classes: np.ndarray, doubt: np.ndarray, count: int) -> np.ndarray:
-        """Labels (N, K+2) of one side of surface pairs: the class (N,) seen there, and doubt (N,), the chance
-        that it is another.
-
-        Doubt, as behind the thin wall of a cup, goes to "uncertain" and to no other class: the surface was
-        seen, and keeps its place.
-        """
-        labels = np.zeros((len(classes), count + 1), np.float32)
-        labels[:, -1] = self.pair_uncertain + (self.most_pair_uncertain - self.pair_uncertain) * doubt
-        labels[np.arange(len(classes)), classes] = 1 - labels[:, -1]
-        return labels

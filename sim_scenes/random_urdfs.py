@@ -47,13 +47,15 @@ def draw_figure(rng: np.random.Generator) -> TrainingShape:
 
 
 def _load(name: str) -> ObjectModel | None:
-    """A figure of blocks, None when its file holds nothing."""
+    """A figure of blocks, None when its file holds nothing usable."""
     folder = figures_folder()
     if folder is None:
         raise DataError("random_urdfs not found: they come with pybullet (pip install pybullet)")
     try:
         model = load_model(folder / name / f"{name}.obj", f"figure_{name}", "builtin", SCALE)
     except DataError:
+        return None
+    if not np.isfinite(model.mesh.vertices).all():  # one of the shipped files
         return None
     blocks = model.mesh.split(only_watertight=False)
     hulls = [block.convex_hull for block in blocks if len(block.vertices) > 3]

@@ -14,7 +14,7 @@ from perception.camera import transform
 from perception.frame import Frame
 from perception.frame_io import load_frame
 from reconstruction import metrics
-from sim_scenes import dataset, ycb
+from sim_scenes import dataset, random_urdfs, ycb
 from sim_scenes.truth import load_truth
 
 pytest.importorskip("pybullet", reason="pybullet is not installed (extra `sim`, Python 3.10 or 3.11)")
@@ -189,3 +189,8 @@ def test_block_figures_make_scenes_of_their_own(tmp_path: Path) -> None:
     assert all(item.name.startswith("figure_") and item.watertight for item in truth.objects)
     assert all(0.02 < mesh.extents.max() < 0.25 for mesh in truth.meshes.values())
     assert all(mesh.bounds[0, 2] > -2e-3 for mesh in truth.meshes.values())  # they rest on the table
+
+
+def test_a_figure_whose_file_holds_nan_is_passed_over() -> None:
+    assert random_urdfs._load("168") is None  # as pybullet ships it
+    assert random_urdfs._load("169") is not None

@@ -13,8 +13,9 @@ from perception.camera import Camera, transform
 from perception.space import Region, Space
 from reconstruction import preset, reconstruct
 from reconstruction.config import override
+from reconstruction.meshing import MeshConfig
 from reconstruction.metrics import chamfer, inside
-from reconstruction.tabletop_samples import TabletopSamples
+from reconstruction.tabletop_labels import TabletopLabels
 from tools.evaluation.statistics import auroc
 
 SIZE = (240, 180)
@@ -107,23 +108,47 @@ def test_uncertainty_ranks_errors_in_hidden_space(result):
 
 
 def test_labels_of_hidden_samples_are_as_uncertain_as_their_guess_is_likely_wrong():
-    samples = TabletopSamples()
+    rules = TabletopLabels()
     chance = np.linspace(1, 1 / 3, 20)  # of the likeliest of three classes
     structure = np.column_stack([chance, (1 - chance) / 2, (1 - chance) / 2])
-    labels = samples._hidden_labels(structure)
+    labels = rules.hidden(structure)
     np.testing.assert_allclose(labels.sum(1), 1, atol=1e-6)
     np.testing.assert_allclose(labels[:, :-1] / labels[:, :-1].sum(1, keepdims=True), structure, atol=1e-6)
     assert (np.diff(labels[chance > 0.5, -1]) > 0).all()
-    assert labels[[0, -1], -1] == pytest.approx([samples.least_uncertain, samples.most_uncertain])
+    assert labels[[0, -1], -1] == pytest.approx([rules.least_uncertain, rules.most_uncertain])
 
 
 def test_doubt_behind_a_surface_goes_to_uncertain_and_to_no_other_class():
-    samples = TabletopSamples()
-    labels = samples._pair_labels(np.array([2, 2, 1]), np.array([0.0, 0.6, 1.0]), 3)
+    rules = TabletopLabels()
+    labels = rules.pair(np.array([2, 2, 1]), np.array([0.0, 0.6, 1.0]), 3)
     np.testing.assert_allclose(labels.sum(1), 1, atol=1e-6)
     assert ((labels[:, :3] > 0) == np.eye(3, dtype=bool)[[2, 2, 1]]).all()
-    assert labels[0, -1] == pytest.approx(samples.pair_uncertain)
+    assert labels[0, -1] == pytest.approx(rules.pair_uncertain)
     assert (np.diff(labels[:, -1]) > 0).all()
+
+
+def test_a_wall_stays_unless_the_prior_is_sure_that_it_ends():
+    labels = TabletopLabels().wall(np.array([1, 1, 1]), np.array([1.0, 0.2, 0.0]), 3)
+    np.testing.assert_allclose(labels.sum(1), 1, atol=1e-6)
+    assert (labels[:2, 1] > labels[:2, 0]).all()
+    assert labels[2, 1] < labels[2, 0]
+    assert (np.diff(labels[:, -1]) > 0).all()
+
+
+def test_under_a_hidden_foot_nothing_is_but_how_sure_follows_what_stands_there():
+    labels = TabletopLabels().foot(np.array([[1.0, 0.0, 0.0], [0.5, 0.5, 0.0]]))
+    np.testing.assert_allclose(labels.sum(1), 1, atol=1e-6)
+    assert (labels[:, 1:-1] == 0).all()
+    assert labels[1, -1] > labels[0, -1]
+
+
+def test_objects_end_at_the_support_plane(result):
+    bottoms = [
+        transform(np.linalg.inv(result.T_world_table), np.asarray(item.mesh.vertices))[:, 2].min()
+        for item in result.objects
+    ]
+    assert min(bottoms) >= MeshConfig().floor - 1e-4
+    assert np.median(np.abs(bottoms)) < 0.003
 
 
 def test_an_object_does_not_grow_into_a_hole_of_the_depth_image(frame, result):

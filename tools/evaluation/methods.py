@@ -74,10 +74,10 @@ class FittedMap(ABC):
 
 
 class FittedContraMap(FittedMap):
-    """ContraMap: uncertainty is the probability of its uncertain class."""
+    """ContraMap: uncertainty is the probability of its uncertain class. floor: no object is below it [m]."""
 
-    def __init__(self, model: ContraMap, training: TrainingSet) -> None:
-        self.model = model
+    def __init__(self, model: ContraMap, training: TrainingSet, floor: float | None = None) -> None:
+        self.model, self.floor = model, floor
         self.samples = training.X[training.y.argmax(1) < training.y.shape[1] - 1]
 
     def predict(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -87,10 +87,13 @@ class FittedContraMap(FittedMap):
 
     def occupancy(self, axes: list[np.ndarray], index: int) -> np.ndarray:
         logits = self.model.lattice()(axes)[:-1]
-        return torch.softmax(logits, 0)[index + 1].cpu().numpy()
+        probability = torch.softmax(logits, 0)[index + 1].cpu().numpy()
+        if self.floor is not None:
+            probability[:, :, axes[2] < self.floor] = 0
+        return probability
 
     def field(self, lows: np.ndarray, highs: np.ndarray, spacing: float) -> Field:
-        return evaluate_field(self.model, lows, highs, spacing)
+        return evaluate_field(self.model, lows, highs, spacing, self.floor)
 
 
 class FittedHilbert(FittedMap):
@@ -172,7 +175,8 @@ def fit_contramap(
     config = override(preset(name, "cpu"), {"samples": samples or {}})
     training = config.samples.draw(observation, space, rng)
     model = ContraMap(config.map).fit(training.X, training.y, hinges=training.hinges, gamma=training.gamma)
-    return FittedContraMap(model, training)
+    floor = config.mesh.floor if observation.support is not None else None
+    return FittedContraMap(model, training, floor)
 
 
 def fit_hilbert(observation: Observation, space: Space, rng: np.random.Generator) -> FittedMap:
