@@ -24,10 +24,14 @@ from reconstruction.hidden_space import RayLookup
 from sim_scenes.training_scenes import TrainingScene, inside, make_training_scene
 from sim_scenes.training_shapes import TrainingShape
 
-QUERIES = 1024
+QUERIES = 1280
 """Points with truth kept of each object."""
+NEAR, BEHIND = 256, 512
+"""How many of them lie right behind a visible point and further behind one; the others are anywhere."""
+NEAR_REACH = 0.02
+"""Right behind a visible point: up to this far [m]. Whether a wall is thin is decided here."""
 REACH = 0.15
-"""Half of the points lie up to this far [m] behind a visible one, the others anywhere in the box."""
+"""Further behind: up to this far [m]."""
 LEAST_BEHIND = 0.0005
 """Points must lie this far behind the first surface [m]."""
 
@@ -163,12 +167,13 @@ def _hidden_points(box: ObjectBox, visible: np.ndarray, space: Space, rng: np.ra
         return hidden
     anywhere = hidden[rng.integers(len(hidden), size=QUERIES)]
     anywhere = anywhere + rng.uniform(-0.5, 0.5, anywhere.shape) * (box.size / cells).mean()
-    start = visible[rng.integers(len(visible), size=2 * QUERIES)]
-    behind = start + (shift_along_rays(space.origin, start, 1.0) - start) * (
-        REACH * rng.random((len(start), 1)) ** 1.5
-    )
+    start = visible[rng.integers(len(visible), size=2 * (NEAR + BEHIND))]
+    rays = shift_along_rays(space.origin, start, 1.0) - start
+    share = rng.random((len(start), 1))
+    near = start[: 2 * NEAR] + rays[: 2 * NEAR] * (NEAR_REACH * share[: 2 * NEAR])
+    behind = start[2 * NEAR :] + rays[2 * NEAR :] * (REACH * share[2 * NEAR :] ** 1.5)
     points = []
-    for group, count in ((behind, QUERIES // 2), (anywhere, QUERIES)):
+    for group, count in ((near, NEAR), (behind, BEHIND), (anywhere, QUERIES)):
         group = group.astype(np.float32)
         within = (np.abs(box.local(group)) < 1).all(axis=1) & _unreached(space, group)
         points.append(group[within][:count])

@@ -29,7 +29,7 @@ Y_CHANNEL = 9
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """How the prior is trained. The defaults take about 25 minutes on two cores."""
+    """How the prior is trained. The defaults take about 35 minutes on two cores."""
 
     out: Path = WEIGHTS_FILE
     """Where the weights go; a .json with the recipe and scores is written beside them."""
@@ -39,7 +39,7 @@ class TrainConfig:
     """Training scenes, of about five objects each."""
     test_scenes: int = 60
     """Scenes of held-out families, and as many of known families."""
-    epochs: int = 4
+    epochs: int = 6
     """Passes over the training objects."""
     batch: int = 16
     """Objects a step."""
