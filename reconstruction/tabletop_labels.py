@@ -24,9 +24,6 @@ class TabletopLabels:
     most_pair_uncertain: float = 0.8
     """Share of "uncertain" in the label of a sample right behind a seen surface that the prior takes for
     empty: a very thin wall. More ranks errors better and tears more holes into walls."""
-    wall_bias: float = 4.0
-    """Log odds by which samples within a wall lean to its object: a wall keeps its thickness unless the prior
-    is sure that it ends before. Less gives thinner walls, with holes where the lattice misses them."""
 
     def hidden(self, structure: np.ndarray, least: float | None = None) -> np.ndarray:
         """Labels (N, K+2) of occluded samples with class distributions (N, K+1): what is there, as far as it
@@ -50,16 +47,16 @@ class TabletopLabels:
         labels[np.arange(len(classes)), classes] = 1 - labels[:, -1]
         return labels
 
-    def wall(self, owner: np.ndarray, fill: np.ndarray, count: int) -> np.ndarray:
-        """Labels (N, count + 1) of samples in the walls of classes owner (N,), which fill them with
-        probability fill (N,)."""
-        doubt = self.pair_uncertain + (self.most_uncertain - self.pair_uncertain) * (1 - fill)
-        odds = np.log(fill + 1e-4) - np.log(1 - fill + 1e-4) + self.wall_bias
-        kept = 1 / (1 + np.exp(-odds))
+    def wall(self, owner: np.ndarray, doubt: np.ndarray, count: int) -> np.ndarray:
+        """Labels (N, count + 1) of samples within the walls of classes owner (N,), with the chance (N,) that
+        the wall ends before.
+
+        As in a pair, doubt goes to "uncertain" alone: a wall keeps its thickness, for a thinner one would
+        have holes wherever the lattice misses it.
+        """
         labels = np.zeros((len(owner), count + 1), np.float32)
-        labels[:, 0] = (1 - doubt) * (1 - kept)
-        labels[np.arange(len(owner)), owner] = (1 - doubt) * kept
-        labels[:, -1] = doubt
+        labels[:, -1] = self.pair_uncertain + (self.most_uncertain - self.pair_uncertain) * doubt
+        labels[np.arange(len(owner)), owner] = 1 - labels[:, -1]
         return labels
 
     def foot(self, above: np.ndarray) -> np.ndarray:

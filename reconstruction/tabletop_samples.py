@@ -117,18 +117,20 @@ class TabletopSamples:
             below = self._below(observation, low, high, rng)
             foot = self._feet(observation, space, low, high, rng)
         before, inside, wall, owner = self._surface_samples(observation, space, rng)
-        within = np.ones(len(wall), bool)
+        flat = np.zeros(len(wall), bool)
         if supported:
-            # Nothing reaches into the table.
+            # Nothing reaches into the table; what lies flat on it is filled down to it.
+            flat = wall[:, 2] < FOOT_CLEARANCE
             inside[:, 2] = np.maximum(inside[:, 2], FOOT_CLEARANCE)
-            within = wall[:, 2] > FOOT_CLEARANCE
+            drop = inside[flat] - wall[flat]
+            wall[flat] = inside[flat] - drop * ((inside[flat, 2:] - FOOT_CLEARANCE) / drop[:, 2:])
         asked = np.concatenate([inside, wall, foot * UPWARDS, hidden])
         structure = self._structure(observation, space, asked)
         ends = np.cumsum([len(inside), len(wall), len(foot)])
         at_inside, at_wall, at_foot, at_hidden = np.split(structure, ends)
         rows, count = np.arange(len(owner)), structure.shape[1]
         fill = at_wall[rows, owner]
-        thin = (fill < self.thin) | ~within
+        thin = (fill < self.thin) | flat
         hinges, gamma = self._hinges(seen, foot, inside[thin], np.concatenate([free, hidden]))
         # The thin shell is a rule of thumb: nothing it says of hidden space is beyond doubt.
         least = None if self.prior == "learned" else self.labels.most_uncertain / 2
@@ -143,7 +145,7 @@ class TabletopSamples:
         ]
         if self.pairs:
             soft.append((before, self.labels.pair(owner * 0, np.zeros(len(owner)), count)))
-            soft.append((wall[within], self.labels.wall(owner, fill, count)[within]))
+            soft.append((wall, self.labels.wall(owner, 1 - fill, count)))
         points, labels = map(np.concatenate, zip(*soft))
         return assemble([np.concatenate([empty, below])], points, labels, hinges, gamma)
 

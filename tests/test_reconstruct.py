@@ -127,11 +127,10 @@ def test_doubt_behind_a_surface_goes_to_uncertain_and_to_no_other_class():
     assert (np.diff(labels[:, -1]) > 0).all()
 
 
-def test_a_wall_stays_unless_the_prior_is_sure_that_it_ends():
-    labels = TabletopLabels().wall(np.array([1, 1, 1]), np.array([1.0, 0.2, 0.0]), 3)
+def test_a_wall_keeps_its_thickness_however_much_it_is_doubted():
+    labels = TabletopLabels().wall(np.array([1, 2, 1]), np.array([0.0, 0.8, 1.0]), 3)
     np.testing.assert_allclose(labels.sum(1), 1, atol=1e-6)
-    assert (labels[:2, 1] > labels[:2, 0]).all()
-    assert labels[2, 1] < labels[2, 0]
+    assert ((labels[:, :3] > 0) == np.eye(3, dtype=bool)[[1, 2, 1]]).all()
     assert (np.diff(labels[:, -1]) > 0).all()
 
 
