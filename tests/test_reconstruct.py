@@ -88,8 +88,10 @@ def test_seen_surface_is_certain_and_hidden_space_is_not(result):
     low, high = seen.min(0), seen.max(0)
     points = np.random.default_rng(0).uniform(low, high, (4000, 3)).astype(np.float32)
     region = space.classify(points)
-    u = result.map.predict_proba(points)[:, -1]
-    assert np.median(u[region == Region.OCCLUDED]) > np.median(u[region == Region.FREE]) + 0.2
+    judged = (region == Region.OCCLUDED) | (region == Region.FREE)
+    u = result.map.predict_proba(points[judged])[:, -1]
+    # Not a difference of levels: what the prior is sure of is rightly not very uncertain.
+    assert auroc(u, region[judged] == Region.OCCLUDED) > 0.93
 
 
 def test_uncertainty_ranks_errors_in_hidden_space(result):
