@@ -83,11 +83,11 @@ def evaluate_field(
         structure = total - share[-1]
         others = (structure - share[1:-1]).clamp_min_(1e-9)
         log_odds[(slice(None), *window)] = (share[1:-1].clamp_min(1e-9) / others).log_().cpu().numpy()
-
-        if floor is not None and axes[2][window[2]][0] < floor + spacing:
+        heights = axes[2][window[2]]
+        if floor is not None and heights[0] < floor + spacing:
             # A steep ramp rather than a step: the surface is to end at the floor, not half a cell from it.
-            limit = (FLOOR_SLOPE * (axes[2][window[2]] - floor)).astype(np.float32)
-            np.minimum(log_odds[(slice(None), *window)], limit, out=log_odds[(slice(None), *window)])
+            odds = log_odds[(slice(None), *window)]
+            np.minimum(odds, (FLOOR_SLOPE * (heights - floor)).astype(np.float32), out=odds)
 
     corners = origin + side * np.argwhere(peak > SKIP_LOG_ODDS)
     touched = (corners[:, None] <= highs) & (corners[:, None] + side >= lows)

@@ -81,7 +81,8 @@ class Reconstruction:
     map lives in the table frame; T_world_table (4, 4) leads to the world frame of all meshes.
     samples: (N, 3) float32 [m, table frame] with sample_classes (N,): 0 empty, k object k, last uncertain.
     timings_ms: stage -> milliseconds. config: everything that was used, as plain dict.
-    fields: the lattices the meshes were taken from, one an object.
+    fields: the lattices the meshes were taken from, one an object. floor: no object is below this height
+    [m, table frame], whatever the map says there; None: unknown.
     """
 
     frame: Frame
@@ -97,6 +98,7 @@ class Reconstruction:
     fields: tuple[ObjectField, ...] = ()
     config: dict[str, Any] = field(default_factory=dict)
     seed: int = 0
+    floor: float | None = None
 
     def query(self, points: np.ndarray) -> Query:
         """What the map says at points (N, 3) [m] in the world frame."""
@@ -105,10 +107,14 @@ class Reconstruction:
         points = np.asarray(points, dtype=np.float32)
         local = transform(invert_rigid(self.T_world_table), points)
         probability, occupancy, gradient = self.map.predict_occupancy(local)
-        best = probability.argmax(1)
-        labels = np.array([0, *(o.label for o in self.objects), -1])
+        # Columns follow the observed objects: one of them may have got no mesh.
+        classes = np.array([0, *(item.label for item in self.observation.objects), -1])
+        label = classes[probability.argmax(1)]
+        if self.floor is not None:
+            below = local[:, 2] < self.floor
+            label[below], occupancy[below], gradient[below] = 0, 0, 0
         return Query(
-            label=labels[best],
+            label=label,
             occupancy=occupancy,
             uncertainty=probability[:, -1],
             gradient=gradient @ self.T_world_table[:3, :3].T.astype(np.float32),

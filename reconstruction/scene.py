@@ -46,7 +46,7 @@ def reconstruct(frame: Frame, config: PipelineConfig | None = None, seed: int = 
         )
     with _timed(timings, "field"):
         lows, highs = object_space(observation, config.mesh.margin)
-        floor = config.mesh.floor if observation.support is not None else None
+        floor = object_floor(observation, config)
         field = evaluate_field(model, lows, highs, config.mesh.spacing, floor)
     T_world_table = frame.camera.T_world_camera @ np.linalg.inv(observation.T_table_camera)
     objects: list[ReconstructedObject] = []
@@ -80,6 +80,7 @@ def reconstruct(frame: Frame, config: PipelineConfig | None = None, seed: int = 
         notes=observation.notes,
         config=config.as_dict(),
         seed=seed,
+        floor=floor,
     )
 
 
@@ -100,6 +101,11 @@ def object_space(observation: Observation, margin: float) -> tuple[np.ndarray, n
     if observation.support is not None:
         lows[:, 2] = np.maximum(lows[:, 2], -0.02)
     return lows, highs
+
+
+def object_floor(observation: Observation, config: PipelineConfig) -> float | None:
+    """Height [m] in the table frame below which no object can be; None when no support was found."""
+    return config.mesh.floor if observation.support is not None else None
 
 
 def _object_field(field: Field, index: int, item: ObservedObject, bounds: np.ndarray) -> ObjectField:

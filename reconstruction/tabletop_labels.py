@@ -42,10 +42,7 @@ class TabletopLabels:
         Doubt, as behind the thin wall of a cup, goes to "uncertain" and to no other class: the surface was
         seen, and keeps its place.
         """
-        labels = np.zeros((len(classes), count + 1), np.float32)
-        labels[:, -1] = self.pair_uncertain + (self.most_pair_uncertain - self.pair_uncertain) * doubt
-        labels[np.arange(len(classes)), classes] = 1 - labels[:, -1]
-        return labels
+        return self._owned(classes, doubt, self.most_pair_uncertain, count)
 
     def wall(self, owner: np.ndarray, doubt: np.ndarray, count: int) -> np.ndarray:
         """Labels (N, count + 1) of samples within the walls of classes owner (N,), with the chance (N,) that
@@ -54,10 +51,7 @@ class TabletopLabels:
         As in a pair, doubt goes to "uncertain" alone: a wall keeps its thickness, for a thinner one would
         have holes wherever the lattice misses it.
         """
-        labels = np.zeros((len(owner), count + 1), np.float32)
-        labels[:, -1] = self.pair_uncertain + (self.most_uncertain - self.pair_uncertain) * doubt
-        labels[np.arange(len(owner)), owner] = 1 - labels[:, -1]
-        return labels
+        return self._owned(owner, doubt, self.most_uncertain, count)
 
     def foot(self, above: np.ndarray) -> np.ndarray:
         """Labels (N, K+2) of samples under the support plane, with class distributions above (N, K+1) right
@@ -65,4 +59,11 @@ class TabletopLabels:
         labels = self.hidden(above)
         labels[:, 0] = 1 - labels[:, -1]
         labels[:, 1:-1] = 0
+        return labels
+
+    def _owned(self, classes: np.ndarray, doubt: np.ndarray, most: float, count: int) -> np.ndarray:
+        """Labels of samples that belong to classes (N,) or to "uncertain", whose share rises to `most`."""
+        labels = np.zeros((len(classes), count + 1), np.float32)
+        labels[:, -1] = self.pair_uncertain + (most - self.pair_uncertain) * doubt
+        labels[np.arange(len(classes)), classes] = 1 - labels[:, -1]
         return labels

@@ -134,14 +134,14 @@ class TabletopSamples:
         hinges, gamma = self._hinges(seen, foot, inside[thin], np.concatenate([free, hidden]))
         # The thin shell is a rule of thumb: nothing it says of hidden space is beyond doubt.
         least = None if self.prior == "learned" else self.labels.most_uncertain / 2
-        hidden_labels = self.labels.hidden(at_hidden, least)
+        guessed = self.labels.hidden(at_hidden, least)
         if self.noise != "occluded":
             near = self.noise == "near"
-            hidden, hidden_labels = spread_evenly(observation, hidden, hidden_labels, low, high, near, rng)
+            hidden, guessed = spread_evenly(observation, hidden, guessed, low, high, near, rng)
         soft = [
             (inside, self.labels.pair(owner, 1 - at_inside[rows, owner], count)),
             (foot, self.labels.foot(at_foot)),
-            (hidden, hidden_labels),
+            (hidden, guessed),
         ]
         if self.pairs:
             soft.append((before, self.labels.pair(owner * 0, np.zeros(len(owner)), count)))

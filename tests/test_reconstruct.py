@@ -187,6 +187,21 @@ def test_query_answers_in_the_world_frame(result):
         assert query.gradient.shape == (2, 3)
 
 
+def test_query_keeps_labels_apart_when_an_object_got_no_mesh(result):
+    item = result.objects[-1]
+    inner = np.asarray(item.mesh.vertices).mean(0, keepdims=True)
+    fewer = replace(result, objects=result.objects[1:])
+    assert fewer.query(inner).label.tolist() == result.query(inner).label.tolist() == [item.label]
+
+
+def test_query_finds_nothing_inside_the_table(result):
+    under = np.concatenate([o.points[::20] for o in result.observation.objects]) * [1, 1, 0] + [0, 0, -0.004]
+    query = result.query(transform(result.T_world_table, under))
+    assert (query.occupancy == 0).all()
+    assert not np.isin(query.label, [item.label for item in result.objects]).any()
+    assert (query.gradient == 0).all()
+
+
 def test_vertices_lie_where_the_map_is_undecided(result):
     item = result.objects[0]
     local = transform(np.linalg.inv(result.T_world_table), np.asarray(item.mesh.vertices)[::50])

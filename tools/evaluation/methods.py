@@ -30,6 +30,7 @@ from perception.space import Space
 from reconstruction.config import override, preset
 from reconstruction.field import OUTSIDE, Field, evaluate_field
 from reconstruction.paper_samples import PaperSamples
+from reconstruction.scene import object_floor
 from reconstruction.training_set import TrainingSet
 
 
@@ -175,8 +176,7 @@ def fit_contramap(
     config = override(preset(name, "cpu"), {"samples": samples or {}})
     training = config.samples.draw(observation, space, rng)
     model = ContraMap(config.map).fit(training.X, training.y, hinges=training.hinges, gamma=training.gamma)
-    floor = config.mesh.floor if observation.support is not None else None
-    return FittedContraMap(model, training, floor)
+    return FittedContraMap(model, training, object_floor(observation, config))
 
 
 def fit_hilbert(observation: Observation, space: Space, rng: np.random.Generator) -> FittedMap:
