@@ -39,7 +39,7 @@ class PipelineConfig:
 
 def preset(name: str, device: str = "auto", prior: str | None = None) -> PipelineConfig:
     """The configuration of a preset: `tabletop` (default) or `paper` (as published, which has no prior)."""
-    paper = PipelineConfig(samples=PaperSamples(), mesh=MeshConfig(floor=None))
+    paper = PipelineConfig(samples=PaperSamples(), mesh=MeshConfig(floor=None, keep_seen=False))
     configs = {"tabletop": PipelineConfig(), "paper": paper}
     if name not in configs:
         raise ConfigError(f"unknown preset {name!r}; valid presets: {', '.join(sorted(configs))}")

@@ -9,6 +9,12 @@ import trimesh
 from scipy import ndimage
 
 from reconstruction.field import OUTSIDE, Field
+from reconstruction.seen_cells import nodes_of_seen_cells
+
+RULED_OUT = -4.0
+"""Where its log odds are below this, the map is sure that a node is not of the object, seen cell or not."""
+SEEN_LOG_ODDS = 2.0
+"""Log odds given to the nodes that seen cells are kept by."""
 
 
 @dataclass(frozen=True)
@@ -25,19 +31,33 @@ class MeshConfig:
     """Parts of an object smaller than this share of its largest part are dropped."""
     max_uncertainty: float | None = None
     """Keep only what is less uncertain than this (0..1); None keeps all."""
+    keep_seen: bool = True
+    """Every cell that holds a seen point of an object belongs to it in part, so that things thinner than a
+    cell stay whole."""
 
 
 def extract_mesh(
-    field: Field, index: int, low: np.ndarray, high: np.ndarray, config: MeshConfig
+    field: Field,
+    index: int,
+    low: np.ndarray,
+    high: np.ndarray,
+    config: MeshConfig,
+    seen: np.ndarray | None = None,
 ) -> tuple[trimesh.Trimesh, np.ndarray] | None:
     """Closed mesh of object `index` within the box low..high (3,) and p(uncertain) at its vertices (V,).
 
-    In the field's frame. Returns None when the object occupies no node of the box.
+    In the field's frame. seen: points (N, 3) [m] on the object's surface, which the mesh is to keep.
+    Returns None when the object occupies no node of the box.
     """
     from skimage.measure import marching_cubes
 
     window = field.window(low, high)
     log_odds, uncertainty = field.log_odds[(index, *window)], field.uncertainty[window]
+    corner = field.origin + field.spacing * np.array([w.start for w in window])
+    if seen is not None and config.keep_seen:
+        log_odds = log_odds.copy()
+        nodes = nodes_of_seen_cells(log_odds, corner, field.spacing, seen, 0.0, RULED_OUT)
+        log_odds[nodes] = SEEN_LOG_ODDS
     if config.max_uncertainty is not None:
         # In the same units as the log odds, so that the surface stays smooth where the two meet.
         floor = np.log(config.max_uncertainty / (1 - config.max_uncertainty))
@@ -63,7 +83,6 @@ def extract_mesh(
     nodes = vertices - 1 + first
     limit = np.array(uncertainty.shape) - 1
     at_vertices = ndimage.map_coordinates(uncertainty, np.clip(nodes, 0, limit).T, order=1)
-    corner = field.origin + field.spacing * np.array([w.start for w in window])
     mesh = trimesh.Trimesh(corner + field.spacing * nodes, faces, process=False)
     return mesh, np.clip(at_vertices, 0, 1).astype(np.float32)
 

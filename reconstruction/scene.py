@@ -54,7 +54,7 @@ def reconstruct(frame: Frame, config: PipelineConfig | None = None, seed: int = 
     skipped = list(observation.skipped)
     with _timed(timings, "mesh"):
         for index, item in enumerate(observation.objects):
-            extracted = extract_mesh(field, index, lows[index], highs[index], config.mesh)
+            extracted = extract_mesh(field, index, lows[index], highs[index], config.mesh, item.points)
             if extracted is None:
                 skipped.append(
                     Skipped(item.label, item.name, "the map gives it no volume at this resolution")

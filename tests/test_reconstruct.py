@@ -265,3 +265,54 @@ def test_an_enclosed_hollow_is_filled():
     assert mesh.is_watertight
     assert mesh.body_count == 1
     assert mesh.volume == pytest.approx(4 / 3 * np.pi * (15 * 0.005) ** 3, rel=0.02)
+
+
+def plate(thickness: float, height: float):
+    """Log odds of a plate 0.1 m wide on a 5 mm lattice, and the points of its upper side."""
+    from reconstruction.field import Field
+
+    axis = 0.005 * np.arange(41)
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    inside = np.minimum(0.05 - np.maximum(abs(x - 0.1), abs(y - 0.1)), thickness / 2 - abs(z - height))
+    odds = np.clip(1000 * inside, -3, 3).astype(np.float32)
+    field = Field(np.zeros(3), 0.005, odds[None], np.zeros(odds.shape, np.float32))
+    across = np.arange(0.051, 0.15, 0.002)
+    top = np.stack(np.meshgrid(across, across, [height + thickness / 2], indexing="ij"), -1).reshape(-1, 3)
+    return field, top
+
+
+def test_a_thing_thinner_than_a_cell_stays_whole():
+    from reconstruction.meshing import MeshConfig, extract_mesh
+
+    field, top = plate(thickness=0.002, height=0.0525)  # between the nodes at 50 and 55 mm
+    box = np.zeros(3), np.full(3, 0.2)
+    assert extract_mesh(field, 0, *box, MeshConfig()) is None
+    assert extract_mesh(field, 0, *box, MeshConfig(keep_seen=False), top) is None
+    extracted = extract_mesh(field, 0, *box, MeshConfig(), top)
+    assert extracted is not None
+    mesh, _ = extracted
+    assert mesh.is_watertight
+    assert mesh.body_count == 1
+    assert np.abs(mesh.extents[:2] - 0.1).max() < 0.01
+    assert mesh.extents[2] < 0.01
+
+
+def test_a_seen_point_where_the_map_rules_an_object_out_leaves_no_trace():
+    from reconstruction.meshing import MeshConfig, extract_mesh
+
+    field, _ = plate(thickness=0.012, height=0.05)
+    field.log_odds[field.log_odds < -2] = -9
+    box = np.zeros(3), np.full(3, 0.2)
+    astray = np.array([[0.02, 0.02, 0.1]])
+    without, _ = extract_mesh(field, 0, *box, MeshConfig())
+    with_stray, _ = extract_mesh(field, 0, *box, MeshConfig(), astray)
+    assert np.array_equal(without.vertices, with_stray.vertices)
+
+
+def test_points_outside_the_lattice_are_no_error():
+    from reconstruction.meshing import MeshConfig, extract_mesh
+
+    field, _ = plate(thickness=0.012, height=0.05)
+    assert (
+        extract_mesh(field, 0, np.zeros(3), np.full(3, 0.2), MeshConfig(), np.full((3, 3), 9.0)) is not None
+    )

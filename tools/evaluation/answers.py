@@ -10,9 +10,10 @@ from time import perf_counter, process_time
 import numpy as np
 import trimesh
 
-from reconstruction.meshing import MeshConfig, extract_mesh
+from reconstruction.meshing import RULED_OUT, SEEN_LOG_ODDS, MeshConfig, extract_mesh
 from reconstruction.metrics import grid_around
 from reconstruction.scene import object_space as object_boxes
+from reconstruction.seen_cells import nodes_of_seen_cells
 from tools.evaluation.case import Case
 from tools.evaluation.methods import FittedMap, method
 from tools.evaluation.uncertainty_card import distance_to_samples
@@ -85,7 +86,8 @@ def coarse_answers(fitted: FittedMap, case: Case) -> dict[int, CoarseAnswer]:
         grid = coarse_grid(case, label)
         axes = [grid[:, 0, 0, 0], grid[0, :, 0, 1], grid[0, 0, :, 2]]
         probability = fitted.occupancy(axes, index)
-        found[label] = CoarseAnswer(probability > 0.5, surface_of(probability, axes))
+        seen = case.observation.objects[index].points if fitted.keeps_seen else None
+        found[label] = CoarseAnswer(probability > 0.5, surface_of(probability, axes, seen))
     return found
 
 
@@ -94,16 +96,30 @@ def coarse_grid(case: Case, label: int) -> np.ndarray:
     return grid_around(case.meshes[label].bounds.mean(0), spacing=COARSE_SPACING)
 
 
-def surface_of(probability: np.ndarray, axes: list[np.ndarray]) -> trimesh.Trimesh | None:
-    """Closed mesh where P on a lattice of even spacing crosses 0.5, None where it never does."""
+def surface_of(
+    probability: np.ndarray, axes: list[np.ndarray], seen: np.ndarray | None = None
+) -> trimesh.Trimesh | None:
+    """Closed mesh where P on a lattice of even spacing crosses 0.5, None where it never does.
+
+    seen: points (N, 3) [m] the mesh is to keep, as meshes of the project do (MeshConfig.keep_seen).
+    """
     from skimage.measure import marching_cubes
 
+    spacing = axes[0][1] - axes[0][0]
+    if seen is not None:
+        corner = np.array([axis[0] for axis in axes])
+        nodes = nodes_of_seen_cells(probability, corner, spacing, seen, 0.5, _probability(RULED_OUT))
+        probability = probability.copy()
+        probability[nodes] = _probability(SEEN_LOG_ODDS)
     if not (probability > 0.5).any():
         return None
-    spacing = axes[0][1] - axes[0][0]
     vertices, faces, _, _ = marching_cubes(np.pad(probability, 1), 0.5, gradient_direction="ascent")
     corner = np.array([axis[0] for axis in axes])
     return trimesh.Trimesh(corner + spacing * (vertices - 1), faces, process=False)
+
+
+def _probability(log_odds: float) -> float:
+    return float(1 / (1 + np.exp(-log_odds)))
 
 
 def delivered_meshes(fitted: FittedMap, case: Case, config: MeshConfig) -> DeliveredMeshes:
@@ -112,7 +128,8 @@ def delivered_meshes(fitted: FittedMap, case: Case, config: MeshConfig) -> Deliv
     field = fitted.field(lows, highs, FINE_SPACING)
     meshes = {}
     for index, item in enumerate(case.observation.objects):
-        extracted = extract_mesh(field, index, lows[index], highs[index], config)
+        seen = item.points if fitted.keeps_seen else None
+        extracted = extract_mesh(field, index, lows[index], highs[index], config, seen)
         if extracted is not None:
             meshes[item.label] = extracted
     return meshes

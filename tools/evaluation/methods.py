@@ -35,9 +35,14 @@ from reconstruction.training_set import TrainingSet
 
 
 class FittedMap(ABC):
-    """What a method learned from one observation. samples: (N, 3) the observed points it learned from [m]."""
+    """What a method learned from one observation.
+
+    samples: (N, 3) the observed points it learned from [m]; keeps_seen: whether its meshes keep every cell
+    with a seen point (MeshConfig.keep_seen).
+    """
 
     samples: np.ndarray
+    keeps_seen = False
 
     @abstractmethod
     def predict(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -77,8 +82,10 @@ class FittedMap(ABC):
 class FittedContraMap(FittedMap):
     """ContraMap: uncertainty is the probability of its uncertain class. floor: no object is below it [m]."""
 
-    def __init__(self, model: ContraMap, training: TrainingSet, floor: float | None = None) -> None:
-        self.model, self.floor = model, floor
+    def __init__(
+        self, model: ContraMap, training: TrainingSet, floor: float | None = None, keeps_seen: bool = True
+    ) -> None:
+        self.model, self.floor, self.keeps_seen = model, floor, keeps_seen
         self.samples = training.X[training.y.argmax(1) < training.y.shape[1] - 1]
 
     def predict(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -176,7 +183,7 @@ def fit_contramap(
     config = override(preset(name, "cpu"), {"samples": samples or {}})
     training = config.samples.draw(observation, space, rng)
     model = ContraMap(config.map).fit(training.X, training.y, hinges=training.hinges, gamma=training.gamma)
-    return FittedContraMap(model, training, object_floor(observation, config))
+    return FittedContraMap(model, training, object_floor(observation, config), config.mesh.keep_seen)
 
 
 def fit_hilbert(observation: Observation, space: Space, rng: np.random.Generator) -> FittedMap:

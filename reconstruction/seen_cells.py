@@ -1,0 +1,31 @@
+"""Lattice nodes that keep what was seen of an object in its mesh. Knows lattices and points only."""
+
+from __future__ import annotations
+
+import numpy as np
+
+CORNERS = np.array(list(np.ndindex(2, 2, 2)))
+"""A cell's nodes, seen from its first one."""
+
+
+def nodes_of_seen_cells(
+    values: np.ndarray, origin: np.ndarray, spacing: float, points: np.ndarray, surface: float, least: float
+) -> tuple[np.ndarray, ...]:
+    """Indices of nodes to take into an object so that no cell with a seen point (N, 3) is without it.
+
+    Things thinner than a cell fall between the nodes of a lattice, and a mesh of them is lace or fragments.
+    Where none of a cell's eight nodes has a value above `surface`, the one with the largest is found,
+    unless the map rules it out with a value of `least` or below. values: (nx, ny, nz) at origin + spacing *
+    (i, j, k) [m].
+    """
+    cells = np.floor((points - origin) / spacing).astype(int)
+    cells = cells[np.all((cells >= 0) & (cells < np.array(values.shape) - 1), axis=1)]
+    # Thousands of points lie in hundreds of cells.
+    cells = np.ravel_multi_index(tuple(cells.T), values.shape)
+    nodes = np.unique(cells)[:, None] + np.ravel_multi_index(tuple(CORNERS.T), values.shape)
+    at_nodes = values.reshape(-1)[nodes]
+    likeliest = at_nodes.argmax(1)
+    rows = np.arange(len(nodes))
+    value = at_nodes[rows, likeliest]
+    missed = nodes[rows, likeliest][(least < value) & (value <= surface)]
+    return np.unravel_index(missed, values.shape)
