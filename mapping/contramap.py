@@ -14,17 +14,11 @@ import numpy as np
 import torch
 
 from mapping.errors import ConfigError, DataError
-from mapping.kernels import (
-    FIT_CUTOFF,
-    PREDICT_CUTOFF,
-    SparseFeatures,
-    blocks,
-    dense_features,
-    sparse_features,
-)
+from mapping.kernels import PREDICT_CUTOFF, blocks, dense_features
 from mapping.lattice import LatticeEvaluator
 from mapping.preconditioner import SparseFactor, sparse_factor
 from mapping.softmax import FitConfig, FitReport, fit_softmax
+from mapping.sparse_features import FIT_CUTOFF, SparseFeatures, sparse_features
 
 REACHED = 0.05
 """A sample whose strongest feature is below this is out of the hinge points' reach."""
@@ -44,6 +38,8 @@ class MapConfig:
     """p(uncertain) out of reach of every hinge point; None gives every class the same share there."""
     empty_log_odds: float | None = None
     """Log odds of class 0 against the other known classes where the kernels vanish; None: all equal."""
+    fit_cutoff: float = FIT_CUTOFF
+    """Features below this are dropped while fitting; predictions keep all that matter."""
     fit: FitConfig = field(default_factory=FitConfig)
     """How the loss is minimised."""
     device: str = "auto"
@@ -105,7 +101,7 @@ class ContraMap:
         width = self.config.gamma if gamma is None else gamma
         self.gamma = np.broadcast_to(np.asarray(width, np.float32), len(self.hinges)).copy()
         self.offset = self._offset(count)
-        features = sparse_features(X, self.hinges, self.gamma, FIT_CUTOFF, self.device)
+        features = sparse_features(X, self.hinges, self.gamma, self.config.fit_cutoff, self.device)
         order = features.order.cpu().numpy()
         # The map says "uncertain" beyond its hinge points whatever lies there: samples out of reach would
         # only drive the outermost weights up.

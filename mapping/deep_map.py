@@ -15,8 +15,9 @@ from torch import nn
 from typing_extensions import Self
 
 from mapping.errors import ConfigError, DataError
-from mapping.kernels import FIT_CUTOFF, PREDICT_CUTOFF, SparseFeatures, SparseRows, sparse_features
+from mapping.kernels import PREDICT_CUTOFF
 from mapping.lattice import LatticeEvaluator
+from mapping.sparse_features import FIT_CUTOFF, SparseFeatures, SparseRows, sparse_features
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,7 @@ def test_a_lattice_larger_than_a_block_agrees_with_points():
 
 
 def test_sparse_features_agree_with_dense(data):
-    from mapping.kernels import sparse_features
+    from mapping.sparse_features import sparse_features
 
     X, _, hinges = data
     gamma = np.full(len(hinges), 300.0, np.float32)
@@ -217,7 +217,7 @@ def test_cuda_without_a_device_is_one_clear_line():
 def test_features_are_the_same_to_the_bit_whenever_they_are_made():
     # MKL splits products over the threads it believes to have, which changes the last bit: with threads
     # that were not told their share, one call in six differed, and the fit took other steps.
-    from mapping.kernels import sparse_features
+    from mapping.sparse_features import sparse_features
 
     rng = np.random.default_rng(5)
     X = rng.normal(0, 0.1, (4000, 3)).astype(np.float32)

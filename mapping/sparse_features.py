@@ -1,0 +1,155 @@
+"""Truncated kernel features as sparse matrices, for fitting.
+
+Knows points, hinge points and widths; knows nothing of classes, weights' meaning or fitting.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from mapping.hinge_cells import HingeCells, hinge_cells
+from mapping.kernels import blocks, dense_features, reach
+from mapping.threads import map_in_threads
+
+FIT_CUTOFF = 3e-3
+"""Features below this are dropped while fitting, where nothing else is said."""
+CANDIDATES = 2**18
+"""Pairs of a point and a hinge point that are looked at in one go: they fit the processor's cache."""
+LOCAL = 0.5
+"""Points within a cell of this size follow each other, in units of the widest kernel's reach."""
+
+RowsOfPart = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
+"""Rows of some points: their indices (n,) and lengths (n,); the rows' columns and values (nnz,)."""
+
+
+@dataclass(frozen=True)
+class SparseRows:
+    """Rows of a sparse matrix. offsets: (rows,) start of each; columns: (nnz,); values: (nnz,) float32."""
+
+    offsets: torch.Tensor
+    columns: torch.Tensor
+    values: torch.Tensor
+
+    def times(self, table: torch.Tensor) -> torch.Tensor:
+        """This matrix times a dense table (columns, C): (rows, C)."""
+        # embedding_bag is the fastest sparse-times-dense product of torch on a CPU and runs on CUDA as well.
+        return torch.nn.functional.embedding_bag(
+            self.columns, table, self.offsets, mode="sum", per_sample_weights=self.values
+        )
+
+    def part(self, rows: slice) -> SparseRows:
+        """Some consecutive rows, without a copy of their values."""
+        last = int(self.offsets[rows.stop]) if rows.stop < len(self.offsets) else len(self.columns)
+        first = int(self.offsets[rows.start]) if rows.start < len(self.offsets) else last
+        return SparseRows(self.offsets[rows] - first, self.columns[first:last], self.values[first:last])
+
+
+@dataclass(frozen=True)
+class SparseFeatures:
+    """Truncated features of N points and, for gradients, their transpose.
+
+    order: (N,) the row's index in the caller's array (rows are sorted by block for locality); strongest:
+    (N,) largest feature of each row.
+    """
+
+    order: torch.Tensor
+    strongest: torch.Tensor
+    rows: SparseRows
+    transposed: SparseRows
+
+    def times(self, W: torch.Tensor) -> torch.Tensor:
+        """Phi W: (H, C) -> (N, C)."""
+        return self.rows.times(W)
+
+    def transpose_times(self, R: torch.Tensor) -> torch.Tensor:
+        """Phi^T R: (N, C) -> (H, C)."""
+        return self.transposed.times(R)
+
+    def squared_column_sums(self, row_weights: torch.Tensor) -> torch.Tensor:
+        """sum_i w_i phi_ih^2 for each hinge: (N,) -> (H,)."""
+        squared = replace(self.transposed, values=self.transposed.values.square())
+        return squared.times(row_weights[:, None])[:, 0]
+
+
+def sparse_features(
+    X: np.ndarray,
+    hinges: np.ndarray,
+    gamma: np.ndarray,
+    cutoff: float,
+    device: torch.device,
+) -> SparseFeatures:
+    """Truncated features of X (N, d); each row keeps the hinges whose feature exceeds `cutoff`."""
+    from scipy import sparse  # here, since it would add to the cost of importing the map
+
+    cells = hinge_cells(hinges, gamma, cutoff)
+    if cells is None:
+        parts = _by_search(X, hinges, gamma, cutoff)
+    else:
+        parts = _by_cells(X, cells, float(reach(gamma.min(), cutoff)), cutoff)
+    order, length, column, value = (torch.cat(part) for part in zip(*parts))
+    ends = np.append(0, np.cumsum(length.numpy())).astype(np.int32)
+    shape = (len(order), len(hinges))
+    transposed = sparse.csr_matrix((value.numpy(), column.numpy(), ends), shape).tocsc()
+    csc = (transposed.indptr[:-1].astype(np.int32), transposed.indices.astype(np.int32), transposed.data)
+    strongest = np.zeros(len(order), np.float32)
+    filled = length.numpy() > 0
+    strongest[filled] = np.maximum.reduceat(value.numpy(), ends[:-1][filled])
+    return SparseFeatures(
+        order.to(device),
+        torch.from_numpy(strongest).to(device),
+        SparseRows(*(t.to(device) for t in (torch.from_numpy(ends[:-1]), column, value))),
+        SparseRows(*(torch.from_numpy(a).to(device) for a in csc)),
+    )
+
+
+def _by_search(X: np.ndarray, hinges: np.ndarray, gamma: np.ndarray, cutoff: float) -> list[RowsOfPart]:
+    """Rows of compact groups of points, each with all hinge points in the group's reach."""
+    X_t, hinges_t, gamma_t = (torch.from_numpy(a) for a in (X, hinges, gamma))
+
+    def rows_of(block: tuple[np.ndarray, np.ndarray]) -> RowsOfPart:
+        rows, near = torch.from_numpy(block[0]), torch.from_numpy(block[1])
+        phi = dense_features(X_t[rows], hinges_t[near], gamma_t[near])
+        kept = phi > cutoff
+        return rows, kept.sum(1), near[kept.nonzero()[:, 1]].int(), phi[kept]
+
+    return map_in_threads(rows_of, blocks(X, hinges, gamma, cutoff))
+
+
+def _by_cells(X: np.ndarray, cells: list[HingeCells], radius: float, cutoff: float) -> list[RowsOfPart]:
+    """The same from tables of cells: three to five times as fast, since few pairs are out of reach."""
+    cell_of, terms_of = zip(*(table.locate(X) for table in cells))
+    # Points that are reached by the same widths go together, and of them those that are near each other.
+    kind = sum((cell >= 0).astype(np.int64) << i for i, cell in enumerate(cell_of))
+    place = np.floor((X - X.min(0)) / (LOCAL * radius)).astype(np.int64)
+    order = np.lexsort((np.ravel_multi_index(tuple(place.T), tuple(place.max(0) + 1)), kind))
+    cell_t, terms_t = ([torch.from_numpy(a[order]) for a in arrays] for arrays in (cell_of, terms_of))
+    smallest = float(np.log(cutoff))
+
+    def rows_of(part: tuple[slice, list[int]]) -> RowsOfPart:
+        rows, reaching = part
+        found = torch.from_numpy(order[rows])
+        if not reaching:
+            none = torch.empty(0)
+            return found, torch.zeros(len(found), dtype=torch.int64), none.int(), none
+        ids = torch.cat([cells[i].ids[cell_t[i][rows, None] + cells[i].steps] for i in reaching], 1)
+        exponent = torch.cat([terms_t[i][rows] @ cells[i].quadratic for i in reaching], 1)
+        kept = (exponent > smallest) & (ids >= 0)
+        pairs = kept.view(-1).nonzero()[:, 0]
+        return found, kept.sum(1), ids.view(-1)[pairs], exponent.view(-1)[pairs].exp_()
+
+    return map_in_threads(rows_of, _parts(kind[order], [len(table.steps) for table in cells]))
+
+
+def _parts(kind: np.ndarray, candidates: list[int]) -> list[tuple[slice, list[int]]]:
+    """Slices of points of one kind, whose bits (N,), sorted, say which tables reach them, with those tables;
+    each has about CANDIDATES pairs."""
+    parts = []
+    starts = np.flatnonzero(np.diff(kind, prepend=-1))
+    for start, end in zip(starts, np.append(starts[1:], len(kind))):
+        reaching = [i for i in range(len(candidates)) if kind[start] >> i & 1]
+        step = max(1, CANDIDATES // max(1, sum(candidates[i] for i in reaching)))
+        parts += [(slice(a, min(a + step, end)), reaching) for a in range(start, end, step)]
+    return parts
