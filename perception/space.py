@@ -8,12 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
+from perception.blocks import blocks
 from perception.camera import Camera, invert_rigid
 from perception.config import PerceptionConfig
 from perception.observation import Observation
 
-BLOCK = 16_384
-"""Points worked on at a time, so that the intermediate arrays stay in the processor's cache."""
 NEAREST_DEPTH = 1e-4
 """Points nearer to the camera's plane than this, or behind it, have no pixel [m]."""
 
@@ -62,7 +61,7 @@ class Space:
         points = _checked(points)
         result = np.empty(len(points), np.int32)
         width = self.camera.width + 2
-        for block in _blocks(len(points)):
+        for block in blocks(len(points)):
             row, column = np.divmod(self._framed_pixel(points[block])[0], width)
             inside = (row > 0) & (row <= self.camera.height) & (column > 0) & (column <= self.camera.width)
             result[block] = np.where(inside, (row - 1) * self.camera.width + column - 1, -1)
@@ -72,7 +71,7 @@ class Space:
         """Depth of each point behind the measured surface along z (N,) float32 [m]; NaN where unknown."""
         points = _checked(points)
         result = np.empty(len(points), np.float32)
-        for block in _blocks(len(points)):
+        for block in blocks(len(points)):
             pixel, z = self._framed_pixel(points[block])
             np.subtract(z, self._framed_depth.take(pixel), out=result[block])
         return result
@@ -82,7 +81,7 @@ class Space:
         points = _checked(points)
         result = np.empty(len(points), np.int8)
         base, growth = np.float32(self.config.surface_margin), np.float32(2 * self.config.depth_noise)
-        for block in _blocks(len(points)):
+        for block in blocks(len(points)):
             pixel, z = self._framed_pixel(points[block])
             measured = self._framed_depth.take(pixel)
             z -= measured
@@ -124,10 +123,6 @@ class Space:
         pixel *= np.int32(self.camera.width + 2)
         pixel += u.astype(np.int32)
         return pixel, z
-
-
-def _blocks(count: int) -> list[slice]:
-    return [slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK)]
 
 
 def _checked(points: np.ndarray) -> np.ndarray:
