@@ -78,9 +78,12 @@ def jittered_lattice(
     """One uniform sample (M, d) float32 in each cell of `spacing` that fills the box: even, without a grid's
     regularity."""
     count = np.maximum(np.ceil((high - low) / spacing).astype(int), 1)
-    cells = np.stack(np.meshgrid(*[np.arange(n) for n in count], indexing="ij"), -1)
-    cells = cells.reshape(-1, len(count))
-    return (low + (cells + rng.random(cells.shape)) * spacing).astype(np.float32)
+    points = rng.random((*count, len(count)))
+    for axis, steps in enumerate(np.ogrid[tuple(slice(n) for n in count)]):
+        points[..., axis] += steps
+    points *= spacing
+    points += low
+    return points.reshape(-1, len(count)).astype(np.float32)
 
 
 def jittered(points: np.ndarray, spacing: float, rng: np.random.Generator) -> np.ndarray:
