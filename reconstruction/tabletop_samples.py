@@ -256,8 +256,8 @@ class TabletopSamples:
         owned = np.zeros(observation.depth.size, bool)
         for item in observation.objects:
             owned[item.pixels] = True
-        pixel = space.pixel_of(points)
-        return (pixel >= 0) & owned[pixel] & (space.depth_behind(points) < self.wall)
+        sight = space.look(points)
+        return (sight.pixel >= 0) & owned[sight.pixel] & (sight.behind < self.wall)
 
     def _structure(self, observation: Observation, space: Space, points: np.ndarray) -> np.ndarray:
         """(N, K+1) guess of {empty, object 1..K} at points (N, 3) behind what is seen."""
