@@ -85,15 +85,16 @@ def _signed_distances(held: np.ndarray) -> np.ndarray:
     """Distance (L, CELLS, CELLS) [cells] to the border of the held cells of each level, positive inside."""
     import cv2
 
-    inward, outward = np.empty(held.shape, np.float32), np.empty(held.shape, np.float32)
     # Surfaces seen at a grazing angle leave single cells without a point. The levels are closed as channels
     # of one picture.
     picture = np.moveaxis(held, 0, 2).astype(np.uint8)
     closed = cv2.morphologyEx(picture, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-    masks = np.ascontiguousarray(np.moveaxis(closed, 2, 0))
-    for level, mask in enumerate(masks):
-        cv2.distanceTransform(mask, cv2.DIST_L2, 3, inward[level])
-        cv2.distanceTransform(1 - mask, cv2.DIST_L2, 3, outward[level])
+    inner = np.ascontiguousarray(np.moveaxis(closed, 2, 0))
+    outer = 1 - inner
+    inward, outward = np.empty(held.shape, np.float32), np.empty(held.shape, np.float32)
+    for level in range(len(held)):
+        cv2.distanceTransform(inner[level], cv2.DIST_L2, 3, inward[level])
+        cv2.distanceTransform(outer[level], cv2.DIST_L2, 3, outward[level])
     distance = np.subtract(inward, outward, out=inward)
     distance -= np.copysign(np.float32(0.5), distance)
     return np.clip(distance, -CELLS, CELLS, out=distance)

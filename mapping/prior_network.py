@@ -51,9 +51,9 @@ class PriorNetwork(nn.Module):
         self.fine_last = conv(fine)
         self.decoder = nn.Sequential(
             nn.Linear(fine + POINT_CHANNELS, HIDDEN),
-            nn.ReLU(),
+            nn.ReLU(inplace=True),
             nn.Linear(HIDDEN, HIDDEN),
-            nn.ReLU(),
+            nn.ReLU(inplace=True),
             nn.Linear(HIDDEN, 1),
         )
 

@@ -164,7 +164,8 @@ class TabletopSamples:
         hidden = self._cover(observation, low, high, self.occluded_spacing, rng)
         region = space.classify(hidden)
         # Where nothing was measured beside an object, the kernels would let it grow unchecked.
-        unknown = (region == Region.OUT_OF_VIEW) & observation.near_objects(hidden, self.unknown_distance)
+        unknown = region == Region.OUT_OF_VIEW
+        unknown[unknown] = observation.near_objects(hidden[unknown], self.unknown_distance)
         hidden = hidden[(region == Region.OCCLUDED) | unknown]
         near = lattice_near_points(seen, self.near_distance, self.near_spacing)
         near = jittered(near, self.near_spacing, rng)
