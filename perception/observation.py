@@ -92,8 +92,8 @@ def _near_box(axes: np.ndarray, low: np.ndarray, high: np.ndarray, distance: flo
     """Which points, given as axes (3, N), lie within `distance` of the box low..high (3,): (N,) bool."""
     square = np.zeros(axes.shape[1], axes.dtype)
     for axis, a, b in zip(axes, low, high):
-        gap = np.maximum(a - axis, axis - b)
-        np.maximum(gap, 0, out=gap)
+        gap = np.clip(axis, a, b)
+        gap -= axis
         gap *= gap
         square += gap
     return square < distance**2

@@ -73,8 +73,8 @@ def extract_mesh(
 def _occupied_box(log_odds: np.ndarray) -> tuple[slice, slice, slice] | None:
     """Index ranges of the nodes with log odds above 0 and, within the lattice, one more node on each side."""
     inside = log_odds > 0
-    seen_from_above = inside.any(2)
-    held = seen_from_above.any(1), seen_from_above.any(0), inside.any(0).any(0)
+    columns = np.any(inside, axis=2)
+    held = np.any(columns, axis=1), np.any(columns, axis=0), np.any(inside, axis=(0, 1))
     if not held[0].any():
         return None
     ends = (np.flatnonzero(along)[[0, -1]] for along in held)
