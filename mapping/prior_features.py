@@ -73,7 +73,7 @@ class ObjectBox:
         view = middle - origin
         level = float(np.hypot(*view[:2]))
         heading = view[:2] / level if level > 1e-6 else np.array([1.0, 0.0])
-        turned = np.ascontiguousarray(_turn(visible, heading).T)
+        turned = _turn(visible, heading).T
         lowest, highest = turned.min(1).astype(float), turned.max(1).astype(float)
         extent = highest - lowest
         height = extent[2]
