@@ -73,7 +73,7 @@ class ObjectBox:
         view = middle - origin
         level = float(np.hypot(*view[:2]))
         heading = view[:2] / level if level > 1e-6 else np.array([1.0, 0.0])
-        turned = np.ascontiguousarray(_turn(visible, heading).T)
+        turned = _turn(visible, heading).T
         lowest, highest = turned.min(1).astype(float), turned.max(1).astype(float)
         extent = highest - lowest
         height = extent[2]
@@ -93,23 +93,31 @@ class ObjectBox:
     def local(self, points: np.ndarray) -> np.ndarray:
         """Points (N, 3) float32 of the table frame in box coordinates, -1 to 1 along each axis."""
         scale = (2 / self.size).astype(np.float32)
-        return _turn(points, self.heading) * scale - (1 + self.low * scale).astype(np.float32)
+        axes = _turn(points, self.heading).T
+        axes *= scale[:, None]
+        axes -= (1 + self.low * scale).astype(np.float32)[:, None]
+        return axes.T
 
     def lattice(self) -> np.ndarray:
         """Cell centres (V, 3) float32 in the table frame, z fastest."""
-        axes = [
-            low + size / cells * (np.arange(cells) + 0.5)
+        x, y, z = (
+            (low + size / cells * (np.arange(cells) + 0.5)).astype(np.float32)
             for low, size, cells in zip(self.low, self.size, LATTICE)
-        ]
-        centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
-        return _turn(centres, self.heading * [1, -1])
+        )
+        axes = np.empty((3, *LATTICE), np.float32)
+        # All heights are turned alike, so one layer is turned and repeated.
+        layer = np.stack([np.repeat(x, len(y)), np.tile(y, len(x)), np.zeros(len(x) * len(y))], axis=1)
+        turned = _turn(layer.astype(np.float32), self.heading * [1, -1])
+        axes[:2] = turned.T[:2].reshape(2, len(x), len(y), 1)
+        axes[2] = z
+        return axes.reshape(3, -1).T
 
     def surface_cells(self, visible: np.ndarray) -> np.ndarray:
         """(V,) bool: lattice cells that hold visible points (M, 3)."""
-        cell = np.floor((self.local(visible) + 1) / 2 * np.array(LATTICE, np.float32)).astype(np.int64)
-        cell = np.clip(cell, 0, np.array(LATTICE) - 1)
+        size = np.array(LATTICE, np.float32)[:, None]
+        cell = np.floor((self.local(visible).T + 1) / 2 * size).astype(np.int32)
         held = np.zeros(LATTICE, bool)
-        held[tuple(cell.T)] = True
+        held[tuple(np.clip(cell, 0, size.astype(np.int32) - 1))] = True
         return held.reshape(-1)
 
     def scalars(self) -> np.ndarray:
@@ -124,31 +132,38 @@ def channels(local: np.ndarray, evidence: RayEvidence, scalars: np.ndarray) -> n
     scalars: (6, 1) of one box, or (6, N) with the box of each point.
     """
     side, height, floor, bottom, top, slope = scalars
-    behind = np.nan_to_num(evidence.behind, nan=0.0).astype(np.float32)
+    behind = evidence.behind.astype(np.float32)
+    behind[np.isnan(behind)] = 0
     inside = evidence.inside.astype(np.float32)
     z = floor + (local[:, 2] + 1) / 2 * height
     span = np.maximum(top - bottom, 0.005)
     rows = np.empty((RAY_CHANNELS, len(local)), np.float32)  # filled in place: this is asked often
-    np.clip(behind / np.float32(0.008), -1, 1, out=rows[0])
-    np.clip(behind / np.float32(0.04), -1, 1, out=rows[1])
-    np.clip(behind / side, -1, 1, out=rows[2])
+    np.divide(behind, np.float32(0.008), out=rows[0])
+    np.divide(behind, np.float32(0.04), out=rows[1])
+    np.divide(behind, side, out=rows[2])
     for row, kind in enumerate((OWN, OTHER, UNKNOWN), 3):
         rows[row] = evidence.seen == kind
-    np.clip(inside / np.float32(0.015), -1, 1, out=rows[6])
-    np.clip(4 * inside / side, -1, 1, out=rows[7])
+    np.divide(inside, np.float32(0.015), out=rows[6])
+    np.divide(4 * inside, side, out=rows[7])
     rows[8:11] = local.T
     np.clip(z / np.float32(0.04), 0, 1, out=rows[11])
     np.clip((top - z) / span, -1, 2, out=rows[12])
     rows[13] = np.log(side / 0.15)
     rows[14] = np.log(height / 0.1)
     rows[15] = np.clip(slope, 0, 3)
-    np.clip(behind / np.float32(0.003), -1, 1, out=rows[16])
+    np.divide(behind, np.float32(0.003), out=rows[16])
     np.clip(z / np.float32(0.01), 0, 1, out=rows[17])
+    for lengths in (rows[:3], rows[6:8], rows[16]):
+        np.clip(lengths, -1, 1, out=lengths)
     return rows
 
 
 def _turn(points: np.ndarray, heading: np.ndarray) -> np.ndarray:
-    """Points (N, 3) float32 turned about z so that `heading` (2,) becomes x."""
+    """Points (N, 3) float32 turned about z so that `heading` (2,) becomes x; each axis in one piece."""
     c, s = np.float32(heading[0]), np.float32(heading[1])
-    x, y = points[:, 0], points[:, 1]
-    return np.stack([c * x + s * y, c * y - s * x, points[:, 2]], axis=1).astype(np.float32)
+    x, y, z = points.T
+    turned = np.empty((3, len(points)), np.float32)
+    np.add(c * x, s * y, out=turned[0])
+    np.subtract(c * y, s * x, out=turned[1])
+    turned[2] = z
+    return turned.T

@@ -9,10 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
-from torch.nn import functional as F
 
 from mapping.prior_features import ObjectBox
+from mapping.trilinear import corners
 
 CELLS = 64
 """Cells along each side of the box."""
@@ -38,10 +37,9 @@ class Footprint:
     @classmethod
     def of(cls, box: ObjectBox, visible: np.ndarray) -> Footprint:
         """The plan views of visible points (M, 3) of the table frame."""
-        cell = ((box.local(visible)[:, :2] + 1) * np.float32(CELLS / 2)).astype(np.int32)
-        cell = np.clip(cell, 0, CELLS - 1)
+        x, y = _cells(box.local(visible))
         top = np.full((CELLS, CELLS), -np.inf, np.float32)
-        np.maximum.at(top.reshape(-1), cell[:, 0] * CELLS + cell[:, 1], visible[:, 2].astype(np.float32))
+        np.maximum.at(top.reshape(-1), x * CELLS + y, visible[:, 2].astype(np.float32))
         span = max(box.top - box.bottom, LEAST_SPAN)
         levels = (box.bottom + span * np.arange(LEVELS) / LEVELS).astype(np.float32)
         distance = _signed_distances(top >= levels[:, None, None])
@@ -54,42 +52,49 @@ class Footprint:
         where there is none. Both float32.
         """
         local = np.asarray(local, np.float32)
-        height = box.low[2] + (local[:, 2] + 1) / 2 * box.size[2]
-        share = (height - box.bottom) / max(box.top - box.bottom, LEAST_SPAN)
-        # Half a level up, so that points lower than the query have no say; grid_sample counts y first.
-        where = np.stack([local[:, 1], local[:, 0], (2 * (share * LEVELS + 1) / LEVELS - 1)], axis=1)
-        volume = torch.from_numpy(self.distance)[None, None]
-        grid = torch.from_numpy(where.astype(np.float32))[None, :, None, None]
-        distance = F.grid_sample(volume, grid, padding_mode="border", align_corners=False)
-        cell = np.clip(((local[:, :2] + 1) * np.float32(CELLS / 2)).astype(np.int32), 0, CELLS - 1)
-        above = self.top[cell[:, 0], cell[:, 1]] - height
-        return distance[0, 0, :, 0, 0].numpy(), above.astype(np.float32)
+        x, y, z = local.T
+        low, bottom = np.float32(box.low[2]), np.float32(box.bottom)
+        height = low + (z + 1) * np.float32(box.size[2] / 2)
+        share = (height - bottom) / np.float32(max(box.top - box.bottom, LEAST_SPAN))
+        # Half a level up, so that points lower than the query have no say.
+        index, weight = corners(np.stack([2 * share + (2 / LEVELS - 1), x, y]), self.distance.shape)
+        distance = (self.distance.take(index) * weight).sum(0)
+        x, y = _cells(local)
+        return distance, self.top.take(x * CELLS + y) - height
+
+
+def _cells(local: np.ndarray) -> np.ndarray:
+    """(2, N) int32: cells along x and y of points (N, 3) in box coordinates."""
+    cell = ((local.T[:2] + 1) * np.float32(CELLS / 2)).astype(np.int32)
+    return np.clip(cell, 0, CELLS - 1, out=cell)
 
 
 def footprint_channels(distance: np.ndarray, above: np.ndarray, side: np.ndarray | float) -> np.ndarray:
     """Feature rows (FOOTPRINT_CHANNELS, N) float32 of what Footprint.at says; side: of the box [m]."""
     known = np.isfinite(above)
-    above = np.where(known, above, 0).astype(np.float32)
-    return np.stack(
-        [
-            np.clip(distance / 0.012, -1, 1),
-            np.clip(4 * distance / side, -1, 1),
-            np.clip(above / 0.015, -1, 1),
-            known,
-        ]
-    ).astype(np.float32)
+    rows = np.empty((FOOTPRINT_CHANNELS, len(distance)), np.float32)
+    np.divide(distance, 0.012, out=rows[0])
+    np.divide(4 * distance, side, out=rows[1])
+    np.divide(np.where(known, above, 0), 0.015, out=rows[2])
+    np.clip(rows[:3], -1, 1, out=rows[:3])
+    rows[3] = known
+    return rows
 
 
 def _signed_distances(held: np.ndarray) -> np.ndarray:
     """Distance (L, CELLS, CELLS) [cells] to the border of the held cells of each level, positive inside."""
     import cv2
 
+    # Surfaces seen at a grazing angle leave single cells without a point. The levels are closed as channels
+    # of one picture.
+    picture = np.moveaxis(held, 0, 2).astype(np.uint8)
+    closed = cv2.morphologyEx(picture, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    inner = np.ascontiguousarray(np.moveaxis(closed, 2, 0))
+    outer = 1 - inner
     inward, outward = np.empty(held.shape, np.float32), np.empty(held.shape, np.float32)
-    for level, cells in enumerate(held.view(np.uint8)):
-        # Surfaces seen at a grazing angle leave single cells without a point.
-        mask = cv2.morphologyEx(cells, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-        cv2.distanceTransform(mask, cv2.DIST_L2, 3, inward[level])
-        cv2.distanceTransform(1 - mask, cv2.DIST_L2, 3, outward[level])
-    distance = inward - outward
+    for level in range(len(held)):
+        cv2.distanceTransform(inner[level], cv2.DIST_L2, 3, inward[level])
+        cv2.distanceTransform(outer[level], cv2.DIST_L2, 3, outward[level])
+    distance = np.subtract(inward, outward, out=inward)
     distance -= np.copysign(np.float32(0.5), distance)
     return np.clip(distance, -CELLS, CELLS, out=distance)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import nn
 from torch.nn import functional as F
@@ -9,6 +10,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from mapping.prior_features import LATTICE_CHANNELS, RAY_CHANNELS
 from mapping.prior_footprint import FOOTPRINT_CHANNELS
+from mapping.trilinear import corners
 
 POINT_CHANNELS = RAY_CHANNELS + FOOTPRINT_CHANNELS
 """What is known of a single point: what the rays say, and the plan view."""
@@ -49,16 +51,18 @@ class PriorNetwork(nn.Module):
         self.fine_last = conv(fine)
         self.decoder = nn.Sequential(
             nn.Linear(fine + POINT_CHANNELS, HIDDEN),
-            nn.ReLU(),
+            nn.ReLU(inplace=True),
             nn.Linear(HIDDEN, HIDDEN),
-            nn.ReLU(),
+            nn.ReLU(inplace=True),
             nn.Linear(HIDDEN, 1),
         )
 
     def encode(self, lattice: torch.Tensor) -> torch.Tensor:
         """Features (B, F, 12, 12, 8) of lattices (B, LATTICE_CHANNELS, 24, 24, 16)."""
-        lattice = lattice.contiguous(memory_format=torch.channels_last_3d)
-        fine = F.relu(self.fine_in(F.relu(self.enter(lattice))))
+        # The inner layers are faster with channels last; the first one's output is cheaper to turn than its
+        # input.
+        entered = self.enter(lattice).contiguous(memory_format=torch.channels_last_3d)
+        fine = F.relu(self.fine_in(F.relu(entered)))
         middle = F.relu(self.middle_in(F.relu(self.down(fine))))
         coarse = F.relu(self.down_again(middle))
         coarse = coarse + F.relu(self.coarse_two(F.relu(self.coarse_one(coarse))))
@@ -68,11 +72,18 @@ class PriorNetwork(nn.Module):
 
     def decode(self, features: torch.Tensor, local: torch.Tensor, channels: torch.Tensor) -> torch.Tensor:
         """Log odds (B, Q) at points (B, Q, 3) in box coordinates with channels (B, Q, POINT_CHANNELS)."""
-        # grid_sample counts the last axis of the volume first.
-        where = local.flip(-1)[:, :, None, None]
-        near = F.grid_sample(features, where, align_corners=False, padding_mode="border")
-        near = near[:, :, :, 0, 0].transpose(1, 2)  # (B, Q, F)
-        return self.decoder(torch.cat([near, channels], dim=-1))[..., 0]
+        objects, count, *shape = features.shape
+        index, weight = corners(local.reshape(-1, 3).T.numpy(), shape)
+        if objects > 1:
+            first = np.arange(objects, dtype=np.int32) * np.int32(np.prod(shape))
+            index += first.repeat(local.shape[1])
+        near = F.embedding_bag(
+            torch.from_numpy(np.ascontiguousarray(index.T)),
+            features.permute(0, 2, 3, 4, 1).reshape(-1, count),
+            per_sample_weights=torch.from_numpy(np.ascontiguousarray(weight.T)),
+            mode="sum",
+        ).reshape(objects, -1, count)
+        return self.decoder(torch.cat([near, channels], dim=-1))[..., 0]  # (B, Q, F + P) to (B, Q)
 
     def plain(self) -> PriorNetwork:
         """The same function without normalisation layers, ready for use."""

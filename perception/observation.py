@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
+from perception.blocks import blocks
 from perception.camera import Camera
 
 
@@ -37,10 +39,11 @@ class ObservedObject:
     labelled: int
     dropped: int
 
-    @property
+    @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper corner (3,) [m] of the visible points in the table frame."""
-        return self.points.min(0), self.points.max(0)
+        axes = np.ascontiguousarray(self.points.T)  # NumPy is slow at the least of a few numbers a row
+        return axes.min(1), axes.max(1)
 
 
 @dataclass(frozen=True)
@@ -74,8 +77,23 @@ class Observation:
     def near_objects(self, points: np.ndarray, distance: float) -> np.ndarray:
         """Which points (N, 3) of the table frame lie within `distance` [m] of an object's box: (N,) bool."""
         near = np.zeros(len(points), bool)
-        for item in self.objects:
-            low, high = item.bounds
-            gap = np.maximum(np.maximum(low - points, points - high), 0)
-            near |= np.einsum("ij,ij->i", gap, gap) < distance**2
+        for block in blocks(len(points)):
+            axes = np.ascontiguousarray(points[block].T)
+            first, last = axes.min(1), axes.max(1)
+            for item in self.objects:
+                low, high = item.bounds
+                # Points come in the order of space: most boxes are far from a whole block.
+                if max((low - last).max(), (first - high).max()) < distance:
+                    near[block] |= _near_box(axes, low, high, distance)
         return near
+
+
+def _near_box(axes: np.ndarray, low: np.ndarray, high: np.ndarray, distance: float) -> np.ndarray:
+    """Which points, given as axes (3, N), lie within `distance` of the box low..high (3,): (N,) bool."""
+    square = np.zeros(axes.shape[1], axes.dtype)
+    for axis, a, b in zip(axes, low, high):
+        gap = np.clip(axis, a, b)
+        gap -= axis
+        gap *= gap
+        square += gap
+    return square < distance**2

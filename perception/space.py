@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
+from perception.blocks import blocks
 from perception.camera import Camera, invert_rigid
 from perception.config import PerceptionConfig
 from perception.observation import Observation
 
-BLOCK = 16_384
-"""Points worked on at a time, so that the intermediate arrays stay in the processor's cache."""
 NEAREST_DEPTH = 1e-4
 """Points nearer to the camera's plane than this, or behind it, have no pixel [m]."""
 
@@ -26,6 +26,18 @@ class Region(IntEnum):
     OCCLUDED = 2  # behind a measured depth
     OUT_OF_VIEW = 3  # outside the image, or its pixel measured nothing: the frame says nothing of it
     BELOW_SUPPORT = 4  # under the support plane, whatever the rays say
+
+
+class Sight(NamedTuple):
+    """What the camera sees on the rays through N points.
+
+    pixel: (N,) int32 flat index of the pixel that sees the point, -1 outside the image; depth: (N,) float32
+    of the point along z [m]; behind: (N,) float32 depth behind the measured surface [m], NaN where unknown.
+    """
+
+    pixel: np.ndarray
+    depth: np.ndarray
+    behind: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -57,32 +69,36 @@ class Space:
         """(3,) the camera's centre in the table frame [m]: where all rays start."""
         return invert_rigid(self.T_camera_table)[:3, 3]
 
+    def look(self, points: np.ndarray) -> Sight:
+        """What the camera sees on the ray through each point."""
+        points = _checked(points)
+        count = len(points)
+        sight = Sight(np.empty(count, np.int32), np.empty(count, np.float32), np.empty(count, np.float32))
+        width = self.camera.width + 2
+        for block in blocks(count):
+            pixel, z = self._framed_pixel(points[block])
+            np.subtract(z, self._framed_depth.take(pixel), out=sight.behind[block])
+            sight.depth[block] = z
+            row = pixel // width  # divmod takes several times as long
+            column = pixel - row * width
+            inside = (row > 0) & (row <= self.camera.height) & (column > 0) & (column <= self.camera.width)
+            sight.pixel[block] = np.where(inside, (row - 1) * self.camera.width + column - 1, -1)
+        return sight
+
     def pixel_of(self, points: np.ndarray) -> np.ndarray:
         """Flat index (N,) int32 of the pixel that sees each point, -1 outside the image."""
-        points = _checked(points)
-        result = np.empty(len(points), np.int32)
-        width = self.camera.width + 2
-        for block in _blocks(len(points)):
-            row, column = np.divmod(self._framed_pixel(points[block])[0], width)
-            inside = (row > 0) & (row <= self.camera.height) & (column > 0) & (column <= self.camera.width)
-            result[block] = np.where(inside, (row - 1) * self.camera.width + column - 1, -1)
-        return result
+        return self.look(points).pixel
 
     def depth_behind(self, points: np.ndarray) -> np.ndarray:
         """Depth of each point behind the measured surface along z (N,) float32 [m]; NaN where unknown."""
-        points = _checked(points)
-        result = np.empty(len(points), np.float32)
-        for block in _blocks(len(points)):
-            pixel, z = self._framed_pixel(points[block])
-            np.subtract(z, self._framed_depth.take(pixel), out=result[block])
-        return result
+        return self.look(points).behind
 
     def classify(self, points: np.ndarray) -> np.ndarray:
         """The Region of each point, (N,) int8."""
         points = _checked(points)
         result = np.empty(len(points), np.int8)
         base, growth = np.float32(self.config.surface_margin), np.float32(2 * self.config.depth_noise)
-        for block in _blocks(len(points)):
+        for block in blocks(len(points)):
             pixel, z = self._framed_pixel(points[block])
             measured = self._framed_depth.take(pixel)
             z -= measured
@@ -124,10 +140,6 @@ class Space:
         pixel *= np.int32(self.camera.width + 2)
         pixel += u.astype(np.int32)
         return pixel, z
-
-
-def _blocks(count: int) -> list[slice]:
-    return [slice(start, min(start + BLOCK, count)) for start in range(0, count, BLOCK)]
 
 
 def _checked(points: np.ndarray) -> np.ndarray:

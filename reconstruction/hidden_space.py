@@ -25,25 +25,25 @@ class RayLookup:
     space: Space
 
     def __call__(self, points: np.ndarray, index: int) -> RayEvidence:
-        pixel = self.space.pixel_of(points)
-        behind = self.space.depth_behind(points)
-        known = np.isfinite(behind)
-        pixel = np.where(pixel < 0, 0, pixel)
-        owner = self._owner.take(pixel)
-        seen = np.where(owner == index, OWN, np.where(owner < 0, BACKGROUND, OTHER)).astype(np.int8)
-        seen[~known] = UNKNOWN
-        border = self._border(index).take(pixel)
+        sight = self.space.look(points)
+        unknown = np.isnan(sight.behind)
+        pixel = np.maximum(sight.pixel, 0)
+        kinds = np.full(len(self.observation.objects) + 1, OTHER, np.int8)
+        kinds[[index, -1]] = OWN, BACKGROUND
+        seen = kinds.take(self._owner.take(pixel))
+        seen[unknown] = UNKNOWN
         # One pixel is z / f metres wide at depth z.
-        depth = self.observation.depth.reshape(-1).take(pixel) + behind
-        depth[~known] = self._depths[index]
-        border = border * (depth / np.float32(self.observation.camera.K[0, 0]))
-        return RayEvidence(behind, seen, border)
+        depth = sight.depth
+        depth[unknown] = self._depths[index]
+        depth /= np.float32(self.observation.camera.K[0, 0])
+        return RayEvidence(sight.behind, seen, self._border(index).at(pixel) * depth)
 
     @cached_property
     def _owner(self) -> np.ndarray:
-        """Object index seen at each pixel (H W,) int16, -1 for none."""
-        owner = np.full(self.observation.depth.size, -1, np.int16)
-        for index, item in enumerate(self.observation.objects):
+        """Object index seen at each pixel (H W,) int16, the number of objects for none."""
+        objects = self.observation.objects
+        owner = np.full(self.observation.depth.size, len(objects), np.int16)
+        for index, item in enumerate(objects):
             owner[item.pixels] = index
         return owner
 
@@ -53,28 +53,60 @@ class RayLookup:
         return [np.float32(np.median(flat[item.pixels])) for item in self.observation.objects]
 
     @cached_property
-    def _borders(self) -> dict[int, np.ndarray]:
+    def _borders(self) -> dict[int, Border]:
         return {}
 
-    def _border(self, index: int) -> np.ndarray:
-        """Distance [px] of each pixel (H W,) to the border of an object's visible region, positive inside."""
+    def _border(self, index: int) -> Border:
         if index not in self._borders:
-            self._borders[index] = self._distances(index).reshape(-1)
+            shape = self.observation.depth.shape
+            self._borders[index] = Border.of(self.observation.objects[index].pixels, *shape)
         return self._borders[index]
 
-    def _distances(self, index: int) -> np.ndarray:
-        height, width = self.observation.depth.shape
-        rows, columns = np.divmod(self.observation.objects[index].pixels, width)
+
+@dataclass(frozen=True)
+class Border:
+    """Distance of pixels to the border of one object's visible region.
+
+    distance: [px], positive inside, of a window of the image whose outermost pixels stand for all beyond it;
+    row, column: of the window's corner in the image, which may lie one pixel outside; width: of the image.
+    """
+
+    distance: np.ndarray
+    row: int
+    column: int
+    width: int
+
+    @classmethod
+    def of(cls, pixels: np.ndarray, height: int, width: int) -> Border:
+        """The border of the region of pixels (N,), flat indices in an image of height x width."""
+        rows, columns = np.divmod(pixels, width)
         reach = BORDER_REACH_PX
         top, left = max(rows.min() - reach, 0), max(columns.min() - reach, 0)
         bottom, right = min(rows.max() + reach + 1, height), min(columns.max() + reach + 1, width)
         mask = np.zeros((bottom - top, right - left), np.uint8)
         mask[rows - top, columns - left] = 1
-        result = np.full((height, width), -np.float32(reach))
-        outward = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 3)
-        inward = cv2.distanceTransform(mask, cv2.DIST_L2, 3)
-        result[top:bottom, left:right] = np.maximum(inward - outward, -reach)
-        return result
+        distance = np.full((bottom - top + 2, right - left + 2), -np.float32(reach))
+        inner = distance[1:-1, 1:-1]
+        np.subtract(
+            cv2.distanceTransform(mask, cv2.DIST_L2, 3),
+            cv2.distanceTransform(1 - mask, cv2.DIST_L2, 3),
+            out=inner,
+        )
+        np.maximum(inner, -reach, out=inner)
+        return cls(distance, int(top) - 1, int(left) - 1, width)
+
+    def at(self, pixel: np.ndarray) -> np.ndarray:
+        """Distance (N,) float32 [px] of pixels (N,) int32 of the image."""
+        height, width = self.distance.shape
+        row = pixel // self.width
+        column = pixel - row * self.width
+        row -= self.row
+        column -= self.column
+        np.clip(row, 0, height - 1, out=row)
+        np.clip(column, 0, width - 1, out=column)
+        row *= width
+        row += column
+        return self.distance.take(row)
 
 
 def hidden_labels(

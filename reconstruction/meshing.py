@@ -63,10 +63,12 @@ def extract_mesh(
         floor = np.log(config.max_uncertainty / (1 - config.max_uncertainty))
         sure = floor - np.log(np.clip(uncertainty, 1e-6, 1 - 1e-6) / np.clip(1 - uncertainty, 1e-6, 1))
         log_odds = np.minimum(log_odds, sure)
-    log_odds = _without_voids(log_odds)
-    parts, count = ndimage.label(log_odds > 0)
-    if count == 0:
+    occupied = _occupied_box(log_odds)
+    if occupied is None:
         return None
+    # Nothing but outside lies beyond: the steps that follow work on the occupied part alone.
+    log_odds = _without_voids(log_odds[occupied])
+    parts, count = ndimage.label(log_odds > 0)
     boxes = ndimage.find_objects(parts)
     sizes = np.bincount(parts.ravel())[1:]
     kept = np.flatnonzero(sizes >= config.smallest_part * sizes.max())
@@ -80,11 +82,23 @@ def extract_mesh(
     values = np.where(np.abs(values) < 1e-4, np.float32(-1e-4), values)
     padded = np.pad(values, 1, constant_values=OUTSIDE)
     vertices, faces, _, _ = marching_cubes(padded, 0.0, gradient_direction="ascent", allow_degenerate=False)
-    nodes = vertices - 1 + first
+    nodes = vertices - 1 + first + [o.start for o in occupied]
     limit = np.array(uncertainty.shape) - 1
     at_vertices = ndimage.map_coordinates(uncertainty, np.clip(nodes, 0, limit).T, order=1)
     mesh = trimesh.Trimesh(corner + field.spacing * nodes, faces, process=False)
     return mesh, np.clip(at_vertices, 0, 1).astype(np.float32)
+
+
+def _occupied_box(log_odds: np.ndarray) -> tuple[slice, slice, slice] | None:
+    """Index ranges of the nodes with log odds above 0 and, within the lattice, one more node on each side."""
+    inside = log_odds > 0
+    columns = np.any(inside, axis=2)
+    held = np.any(columns, axis=1), np.any(columns, axis=0), np.any(inside, axis=(0, 1))
+    if not held[0].any():
+        return None
+    ends = (np.flatnonzero(along)[[0, -1]] for along in held)
+    x, y, z = (slice(max(int(first) - 1, 0), int(last) + 2) for first, last in ends)
+    return x, y, z
 
 
 def _without_voids(log_odds: np.ndarray) -> np.ndarray:

@@ -164,7 +164,8 @@ class TabletopSamples:
         hidden = self._cover(observation, low, high, self.occluded_spacing, rng)
         region = space.classify(hidden)
         # Where nothing was measured beside an object, the kernels would let it grow unchecked.
-        unknown = (region == Region.OUT_OF_VIEW) & observation.near_objects(hidden, self.unknown_distance)
+        unknown = region == Region.OUT_OF_VIEW
+        unknown[unknown] = observation.near_objects(hidden[unknown], self.unknown_distance)
         hidden = hidden[(region == Region.OCCLUDED) | unknown]
         near = lattice_near_points(seen, self.near_distance, self.near_spacing)
         near = jittered(near, self.near_spacing, rng)
@@ -256,8 +257,8 @@ class TabletopSamples:
         owned = np.zeros(observation.depth.size, bool)
         for item in observation.objects:
             owned[item.pixels] = True
-        pixel = space.pixel_of(points)
-        return (pixel >= 0) & owned[pixel] & (space.depth_behind(points) < self.wall)
+        sight = space.look(points)
+        return (sight.pixel >= 0) & owned[sight.pixel] & (sight.behind < self.wall)
 
     def _structure(self, observation: Observation, space: Space, points: np.ndarray) -> np.ndarray:
         """(N, K+1) guess of {empty, object 1..K} at points (N, 3) behind what is seen."""

@@ -17,6 +17,7 @@ from mapping.samples import (
     within,
 )
 from mapping.threads import map_in_threads
+from mapping.trilinear import corners
 
 
 def test_lattice_in_box_holds_the_multiples_of_the_spacing():
@@ -35,6 +36,16 @@ def test_lattice_near_points_agrees_with_distances():
     sure = lattice[np.linalg.norm(lattice[:, None] - points[None], axis=2).min(1) < 0.03]
     found = {tuple(p) for p in np.rint(near / 0.03).astype(int)}
     assert all(tuple(p) in found for p in np.rint(sure / 0.03).astype(int))
+
+
+@pytest.mark.parametrize("distance", [0.0, 0.01, 0.02, 0.025])
+def test_lattice_near_points_is_a_ball_around_each_cell(distance):
+    points = np.random.default_rng(1).uniform(-0.05, 0.05, (20, 3))
+    near = np.rint(lattice_near_points(points, distance, 0.01) / 0.01).astype(int)
+    cells = np.rint(points / 0.01)
+    around = np.stack(np.meshgrid(*[np.arange(-10, 11)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    gap = np.linalg.norm(around[:, None] - cells[None], axis=2).min(1)
+    np.testing.assert_array_equal(near, around[gap <= distance / 0.01 + 1e-9])
 
 
 def test_lattice_near_centres_stays_within_the_radius():
@@ -119,6 +130,19 @@ def test_jittered_lattice_is_even():
     points = jittered_lattice(np.zeros(3), np.ones(3), 0.1, np.random.default_rng(0))
     cells = np.floor(points / 0.1).astype(int)
     assert len(points) == len(np.unique(cells, axis=0)) == 1000
+
+
+def test_corners_agree_with_grid_sample():
+    rng, shape = np.random.default_rng(0), (3, 5, 2)
+    volume = rng.normal(size=shape).astype(np.float32)
+    points = rng.uniform(-1.3, 1.3, (500, 3)).astype(np.float32)  # some beyond the lattice
+    index, weight = corners(points.T, shape)
+    grid = torch.from_numpy(points[None, :, None, None, ::-1].copy())
+    expected = torch.nn.functional.grid_sample(
+        torch.from_numpy(volume)[None, None], grid, padding_mode="border", align_corners=False
+    )
+    found = (volume.reshape(-1)[index] * weight).sum(0)
+    np.testing.assert_allclose(found, expected.reshape(-1).numpy(), atol=1e-5)
 
 
 def test_within_agrees_with_distances():

@@ -16,7 +16,7 @@ from mapping.prior_network import PriorNetwork
 from perception.camera import invert_rigid, transform
 from perception.observe import observe
 from perception.space import Space
-from reconstruction.hidden_space import RayLookup, hidden_labels
+from reconstruction.hidden_space import BORDER_REACH_PX, Border, RayLookup, hidden_labels
 
 
 @pytest.fixture(scope="module")
@@ -130,6 +130,18 @@ def test_box_holds_what_is_seen(scene):
         assert np.abs(box.local(item)).max() < 1
         np.testing.assert_allclose(np.abs(box.local(box.lattice())).max(0), 1, atol=0.1)
         assert 0 < box.surface_cells(item).sum() <= len(item)
+
+
+def test_border_is_measured_near_the_object_and_constant_far_from_it():
+    height, width = 120, 160
+    rows, columns = np.meshgrid(np.arange(10, 30), np.arange(5, 25), indexing="ij")
+    border = Border.of((rows * width + columns).reshape(-1), height, width)
+    image = border.at(np.arange(height * width, dtype=np.int32)).reshape(height, width)
+    assert image[19, 14] == pytest.approx(10, rel=0.06)
+    assert image[19, 0] == pytest.approx(-5, rel=0.06)
+    assert image[60, 14] == pytest.approx(-31, rel=0.06)
+    assert (image[90:] == -BORDER_REACH_PX).all()
+    assert (image[:, 80:] == -BORDER_REACH_PX).all()
 
 
 def test_weights_are_small_and_described():

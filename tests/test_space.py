@@ -132,3 +132,14 @@ def test_half_a_million_points_take_no_time(space: Space) -> None:
         space.classify(points)
         seconds.append(time.process_time() - begin)
     assert min(seconds) < 0.1  # 8 ms on one free core; the rest is for busy machines
+
+
+def test_near_objects_agrees_with_distances_to_boxes(observation: Observation) -> None:
+    points = random_points(40_000)  # more than a block
+    expected = np.zeros(len(points), bool)
+    for item in observation.objects:
+        low, high = item.bounds
+        gap = np.maximum(np.maximum(low - points, points - high), 0)
+        expected |= np.linalg.norm(gap, axis=1) < 0.03
+    assert 0 < expected.sum() < len(points)
+    np.testing.assert_array_equal(observation.near_objects(points, 0.03), expected)
