@@ -5,8 +5,9 @@ Knows hinge points, widths and weights; knows nothing of classes' meaning or of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import prod
 
 import numpy as np
 import torch
@@ -19,10 +20,13 @@ CUTOFF = 1e-5
 BLOCK = 32**3
 """Nodes of the blocks a lattice is evaluated in: 32 a side in space, 181 in the plane. Small blocks see few
 hinge points, but each costs some calls."""
-LARGEST_FILL = 64
+LARGEST_FILL = 256
 """Scattered hinge points are not put on a lattice that has more than this many cells a hinge point."""
 
 Axes = Sequence[np.ndarray]
+Window = tuple[slice, ...]
+Block = Callable[[Window, torch.Tensor | None], torch.Tensor | None]
+"""What one group of hinge points adds to the logits (C, *window) of some classes; None: nothing."""
 
 
 class LatticeEvaluator:
@@ -41,25 +45,40 @@ class LatticeEvaluator:
 
     def __call__(self, axes: Axes) -> torch.Tensor:
         """Logits (C, *lattice) at every node of the lattice spanned by d coordinate arrays."""
-        axes = [np.asarray(axis, np.float32) for axis in axes]
         shape = [len(axis) for axis in axes]
         side = round(BLOCK ** (1 / len(shape)))
+        lattice = self.on(axes)
         if max(shape) <= side:
-            return self._block(axes)
+            return lattice.block(tuple(slice(0, n) for n in shape))
         out = self.offset.new_empty(len(self.offset), *shape)
 
         def fill(corner: tuple[int, ...]) -> None:
-            window = [slice(c * side, (c + 1) * side) for c in corner]
-            out[(slice(None), *window)] = self._block([a[w] for a, w in zip(axes, window)])
+            window = tuple(slice(c * side, min((c + 1) * side, n)) for c, n in zip(corner, shape))
+            out[(slice(None), *window)] = lattice.block(window)
 
         with Threads(out.device) as threads:
             threads.map(fill, np.ndindex(*(-(-n // side) for n in shape)))
         return out
 
-    def _block(self, axes: Axes) -> torch.Tensor:
-        out = self.offset.view(-1, *[1] * len(axes)).repeat(1, *(len(axis) for axis in axes))
+    def on(self, axes: Axes) -> MapOnLattice:
+        """The map on the lattice spanned by d coordinate arrays, to be asked block by block."""
+        axes = [np.asarray(axis, np.float32) for axis in axes]
+        return MapOnLattice(self.offset, [group.on(axes) for group in self.groups])
+
+
+@dataclass(frozen=True)
+class MapOnLattice:
+    """A map and one lattice: what blocks of it share is worked out once."""
+
+    offset: torch.Tensor
+    groups: list[Block]
+
+    def block(self, window: Window, classes: torch.Tensor | None = None) -> torch.Tensor:
+        """Logits (C, *window) on a part of the lattice, of all classes or some of them."""
+        offset = self.offset if classes is None else self.offset[classes]
+        out = offset.view(-1, *[1] * len(window)).repeat(1, *(w.stop - w.start for w in window))
         for group in self.groups:
-            part = group.evaluate(axes)
+            part = group(window, classes)
             if part is not None:
                 out += part
         return out
@@ -76,19 +95,40 @@ class _HingeLattice:
     gamma: float
     weights: torch.Tensor
 
-    def evaluate(self, axes: Axes) -> torch.Tensor | None:
+    def on(self, axes: Axes) -> Block:
+        """This group's part of any block of a lattice."""
         radius = float(reach(self.gamma, CUTOFF))
-        tensor = self.weights
-        tables = []
-        for i, (axis, places) in enumerate(zip(axes, self.places)):
-            first, last = np.searchsorted(places, [axis[0] - radius, axis[-1] + radius])
-            if first == last:
-                return None
-            tensor = tensor.narrow(i + 1, int(first), int(last - first))
-            tables.append(_table(axis, places[first:last], self.gamma).to(tensor))
-        for table in tables:
-            tensor = torch.tensordot(tensor, table, dims=([1], [1]))  # the finished axis goes last
-        return tensor
+        known: dict[tuple[int, int, int], tuple[int, torch.Tensor]] = {}
+
+        def along(i: int, part: slice) -> tuple[int, torch.Tensor]:
+            """First hinge place in reach of some nodes of axis i, and the kernel values (n, m) from there."""
+            key = i, part.start, part.stop
+            if key not in known:
+                nodes, places = axes[i][part], self.places[i]
+                first, last = np.searchsorted(places, [nodes[0] - radius, nodes[-1] + radius])
+                table = _table(nodes, places[first:last], self.gamma).to(self.weights)
+                known[key] = int(first), table
+            return known[key]
+
+        def block(window: Window, classes: torch.Tensor | None) -> torch.Tensor | None:
+            tensor, tables = self.weights, []
+            for i, part in enumerate(window):
+                first, table = along(i, part)
+                if table.shape[1] == 0:
+                    return None
+                tensor = tensor.narrow(i + 1, first, table.shape[1])
+                tables.append(table)
+            if classes is not None:
+                tensor = tensor.index_select(0, classes)
+            count, shape = len(tensor), [len(table) for table in tables]
+            tensor = tensor @ tables[-1].T
+            for i in reversed(range(len(tables) - 1)):
+                # What is left of the axes before i x axis i x nodes of the axes after i: nothing is copied.
+                left = tensor.reshape(-1, tables[i].shape[1], prod(shape[i + 1 :]))
+                tensor = torch.bmm(tables[i].expand(len(left), -1, -1), left)
+            return tensor.view(count, *shape)
+
+        return block
 
 
 @dataclass(frozen=True)
@@ -99,7 +139,16 @@ class _ScatteredHinges:
     gamma: float
     weights: torch.Tensor
 
-    def evaluate(self, axes: Axes) -> torch.Tensor | None:
+    def on(self, axes: Axes) -> Block:
+        """This group's part of any block of a lattice."""
+
+        def block(window: Window, classes: torch.Tensor | None) -> torch.Tensor | None:
+            part = self._evaluate([axis[w] for axis, w in zip(axes, window)])
+            return part if part is None or classes is None else part[classes]
+
+        return block
+
+    def _evaluate(self, axes: Axes) -> torch.Tensor | None:
         low, high = np.array([a[0] for a in axes]), np.array([a[-1] for a in axes])
         gap = np.maximum(np.maximum(low - self.hinges, self.hinges - high), 0)
         near = np.flatnonzero((gap**2).sum(1) < reach(self.gamma, CUTOFF) ** 2)

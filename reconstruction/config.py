@@ -40,7 +40,11 @@ class PipelineConfig:
 
 def preset(name: str, device: str = "auto", prior: str | None = None) -> PipelineConfig:
     """The configuration of a preset: `tabletop` (default) or `paper` (as published, which has no prior)."""
-    paper = PipelineConfig(samples=PaperSamples(), mesh=MeshConfig(floor=None, keep_seen=False))
+    paper = PipelineConfig(
+        samples=PaperSamples(),
+        map=MapConfig(empty_log_odds=2.0, fit=FitConfig(tolerance=3e-4)),
+        mesh=MeshConfig(floor=None, confined=False, keep_seen=False),
+    )
     configs = {"tabletop": PipelineConfig(), "paper": paper}
     if name not in configs:
         raise ConfigError(f"unknown preset {name!r}; valid presets: {', '.join(sorted(configs))}")

@@ -49,20 +49,25 @@ class Field:
 
 
 def evaluate_field(
-    model: ContraMap, lows: np.ndarray, highs: np.ndarray, spacing: float, floor: float | None = None
+    model: ContraMap,
+    lows: np.ndarray,
+    highs: np.ndarray,
+    spacing: float,
+    floor: float | None = None,
+    confined: bool = True,
 ) -> Field:
     """Evaluate a map on one lattice of `spacing` [m] over boxes lows..highs (K, 3) [m].
 
     Blocks that touch no box, or that the map knows to be empty, are skipped. floor: no object is below this
-    height [m].
+    height [m]. confined: blocks that an object's box does not touch are evaluated as if it did not exist.
     """
     low, high = lows.min(0), highs.max(0)
     count = np.ceil((np.asarray(high) - low) / (spacing * BLOCK)).astype(int)
     # Multiples of the spacing: the same place is sampled alike whatever else is in the scene.
     origin = np.floor(np.asarray(low) / spacing) * spacing
     axes = [origin[i] + spacing * np.arange(count[i] * BLOCK) for i in range(3)]
-    evaluate = model.lattice()
-    coarse = evaluate([axis[::COARSE] for axis in axes])
+    evaluator = model.lattice()
+    coarse = evaluator([axis[::COARSE] for axis in axes])
     any_object = torch.logsumexp(coarse[1:-1], 0) - coarse[0]
     wide = ndimage.maximum_filter(any_object.cpu().numpy(), size=3)
     step = BLOCK // COARSE
@@ -72,24 +77,27 @@ def evaluate_field(
     log_odds = np.full((objects, *shape), OUTSIDE, np.float32)
     uncertainty = np.ones(shape, np.float32)
     side = spacing * BLOCK
+    lattice = evaluator.on(axes)
+    # A steep ramp rather than a step: the surface is to end at the floor, not half a cell from it.
+    ramp = np.full(shape[2], np.inf) if floor is None else FLOOR_SLOPE * (axes[2] - floor)
+    ramp = ramp.astype(np.float32)
 
     def fill(block: np.ndarray) -> None:
-        window = tuple(slice(b * BLOCK, (b + 1) * BLOCK) for b in block)
-        logits = evaluate([axis[w] for axis, w in zip(axes, window)])
-        share = (logits - logits.amax(0)).exp_()
-        total = share.sum(0)
-        uncertainty[window] = (share[-1] / total).cpu().numpy()
-        # P(k) against the rest among the non-uncertain classes; the floor keeps the logarithm finite.
-        structure = total - share[-1]
+        corner = origin + side * block
+        present = np.all((corner <= highs) & (corner + side >= lows), axis=1)
+        if not present.any():
+            return
+        present = np.flatnonzero(present | (not confined))
+        x, y, z = window = tuple(slice(b * BLOCK, (b + 1) * BLOCK) for b in block)
+        classes = torch.from_numpy(np.concatenate([[0], present + 1, [objects + 1]])).to(coarse.device)
+        logits = lattice.block(window, classes)
+        share = logits.sub_(logits.amax(0)).exp_()
+        structure = share[:-1].sum(0)
+        uncertainty[window] = (share[-1] / (structure + share[-1])).cpu().numpy()
+        # P(k) against the rest among the non-uncertain classes; 1e-9 keeps the logarithm finite.
         others = (structure - share[1:-1]).clamp_min_(1e-9)
-        log_odds[(slice(None), *window)] = (share[1:-1].clamp_min(1e-9) / others).log_().cpu().numpy()
-        heights = axes[2][window[2]]
-        if floor is not None and heights[0] < floor + spacing:
-            # A steep ramp rather than a step: the surface is to end at the floor, not half a cell from it.
-            odds = log_odds[(slice(None), *window)]
-            np.minimum(odds, (FLOOR_SLOPE * (heights - floor)).astype(np.float32), out=odds)
+        odds = share[1:-1].clamp_min_(1e-9).div_(others).log_().cpu().numpy()
+        log_odds[present, x, y, z] = np.minimum(odds, ramp[z], out=odds)
 
-    corners = origin + side * np.argwhere(peak > SKIP_LOG_ODDS)
-    touched = (corners[:, None] <= highs) & (corners[:, None] + side >= lows)
-    map_in_threads(fill, np.argwhere(peak > SKIP_LOG_ODDS)[np.any(np.all(touched, axis=2), axis=1)])
+    map_in_threads(fill, np.argwhere(peak > SKIP_LOG_ODDS))
     return Field(origin, spacing, log_odds, uncertainty)

@@ -31,6 +31,8 @@ class MeshConfig:
     """Parts of an object smaller than this share of its largest part are dropped."""
     max_uncertainty: float | None = None
     """Keep only what is less uncertain than this (0..1); None keeps all."""
+    confined: bool = True
+    """Further from an object than `margin`, the map is evaluated as if it did not exist: half the work."""
     keep_seen: bool = True
     """Every cell that holds a seen point of an object belongs to it in part, so that things thinner than a
     cell stay whole."""

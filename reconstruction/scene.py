@@ -47,7 +47,7 @@ def reconstruct(frame: Frame, config: PipelineConfig | None = None, seed: int = 
     with _timed(timings, "field"):
         lows, highs = object_space(observation, config.mesh.margin)
         floor = object_floor(observation, config)
-        field = evaluate_field(model, lows, highs, config.mesh.spacing, floor)
+        field = evaluate_field(model, lows, highs, config.mesh.spacing, floor, config.mesh.confined)
     T_world_table = frame.camera.T_world_camera @ np.linalg.inv(observation.T_table_camera)
     objects: list[ReconstructedObject] = []
     fields: list[ObjectField] = []

@@ -29,6 +29,7 @@ from perception.observation import Observation
 from perception.space import Space
 from reconstruction.config import override, preset
 from reconstruction.field import OUTSIDE, Field, evaluate_field
+from reconstruction.meshing import MeshConfig
 from reconstruction.paper_samples import PaperSamples
 from reconstruction.scene import object_floor
 from reconstruction.training_set import TrainingSet
@@ -80,12 +81,15 @@ class FittedMap(ABC):
 
 
 class FittedContraMap(FittedMap):
-    """ContraMap: uncertainty is the probability of its uncertain class. floor: no object is below it [m]."""
+    """ContraMap: uncertainty is the probability of its uncertain class.
+
+    mesh: how the preset takes meshes; floor: no object is below it [m].
+    """
 
     def __init__(
-        self, model: ContraMap, training: TrainingSet, floor: float | None = None, keeps_seen: bool = True
+        self, model: ContraMap, training: TrainingSet, mesh: MeshConfig, floor: float | None = None
     ) -> None:
-        self.model, self.floor, self.keeps_seen = model, floor, keeps_seen
+        self.model, self.mesh, self.floor, self.keeps_seen = model, mesh, floor, mesh.keep_seen
         self.samples = training.X[training.y.argmax(1) < training.y.shape[1] - 1]
 
     def predict(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -101,7 +105,7 @@ class FittedContraMap(FittedMap):
         return probability
 
     def field(self, lows: np.ndarray, highs: np.ndarray, spacing: float) -> Field:
-        return evaluate_field(self.model, lows, highs, spacing, self.floor)
+        return evaluate_field(self.model, lows, highs, spacing, self.floor, self.mesh.confined)
 
 
 class FittedHilbert(FittedMap):
@@ -183,7 +187,7 @@ def fit_contramap(
     config = override(preset(name, "cpu"), {"samples": samples or {}})
     training = config.samples.draw(observation, space, rng)
     model = ContraMap(config.map).fit(training.X, training.y, hinges=training.hinges, gamma=training.gamma)
-    return FittedContraMap(model, training, object_floor(observation, config), config.mesh.keep_seen)
+    return FittedContraMap(model, training, config.mesh, object_floor(observation, config))
 
 
 def fit_hilbert(observation: Observation, space: Space, rng: np.random.Generator) -> FittedMap:
