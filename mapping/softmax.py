@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import torch
 
 from mapping.preconditioner import SparseFactor
-from mapping.sparse_features import SparseFeatures, SparseRows
+from mapping.sparse_features import SparseFeatures
 from mapping.threads import Threads
 
 
@@ -122,19 +122,19 @@ class _Objective:
         self.shape = len(features.transposed.offsets), classes
         self.weights, self.l2, self.threads = weights, l2, threads
         self.weighted_targets = targets * weights[:, None]
-        self.by_sample = [(rows, features.rows.part(rows)) for rows in threads.split(self.samples)]
-        self.by_hinge = [(rows, features.transposed.part(rows)) for rows in threads.split(self.shape[0])]
+        self.rows = features.rows.split(threads.count)
+        self.columns = features.transposed.split(threads.count)
+        self.shares = threads.split(self.samples)
 
     def logits_of(self, W: torch.Tensor) -> torch.Tensor:
         """Phi W: (H, C) -> (N, C)."""
-        return torch.cat(self.threads.map(lambda piece: piece[1].times(W), self.by_sample))
+        return torch.cat(self.threads.map(lambda part: part.times(W), self.rows))
 
     def loss_and_residual(self, W: torch.Tensor, logits: torch.Tensor) -> tuple[float, torch.Tensor]:
         """The objective and its derivative by the logits (N, C)."""
         residual = torch.empty_like(logits)
 
-        def cross_entropy(piece: tuple[slice, SparseRows]) -> float:
-            rows = piece[0]
+        def cross_entropy(rows: slice) -> float:
             part, weights, targets = logits[rows], self.weights[rows], self.weighted_targets[rows]
             # Without the row maximum float32 overflows past 88; it is rarely needed, so it is conditional.
             low, high = torch.aminmax(part)
@@ -147,11 +147,11 @@ class _Objective:
             return float(loss)
 
         penalty = 0.5 * self.l2 * _dot(W, W)
-        return sum(self.threads.map(cross_entropy, self.by_sample)) + penalty, residual
+        return sum(self.threads.map(cross_entropy, self.shares)) + penalty, residual
 
     def gradient(self, W: torch.Tensor, residual: torch.Tensor) -> torch.Tensor:
         """The objective's derivative by W (H, C)."""
-        parts = self.threads.map(lambda piece: piece[1].times(residual), self.by_hinge)
+        parts = self.threads.map(lambda part: part.times(residual), self.columns)
         return torch.cat(parts).add_(W, alpha=self.l2)
 
 

@@ -6,6 +6,7 @@ Knows points, hinge points and widths; knows nothing of classes, weights' meanin
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -39,6 +40,13 @@ class SparseRows:
         return torch.nn.functional.embedding_bag(
             self.columns, table, self.offsets, mode="sum", per_sample_weights=self.values
         )
+
+    def split(self, count: int) -> list[SparseRows]:
+        """Consecutive parts with about as many values each: rows near objects are much longer than others."""
+        wanted = torch.arange(1, count) * (len(self.values) // count)
+        cuts = torch.searchsorted(self.offsets, wanted.to(self.offsets)).tolist()
+        ends = [0, *cuts, len(self.offsets)]
+        return [self.part(slice(a, b)) for a, b in pairwise(ends) if b > a]
 
     def part(self, rows: slice) -> SparseRows:
         """Some consecutive rows, without a copy of their values."""

@@ -80,6 +80,61 @@ def test_sparse_features_agree_with_dense(data):
     torch.testing.assert_close(features.transpose_times(R), dense.T @ R, atol=1e-4, rtol=0)
 
 
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_features_found_by_cells_are_those_found_by_search(dimensions):
+    from mapping.hinge_cells import hinge_cells
+    from mapping.hinges import lattice_in_box
+    from mapping.sparse_features import _by_search, sparse_features
+
+    rng = np.random.default_rng(2)
+    box = np.zeros(dimensions), np.full(dimensions, 0.3)
+    lattices = [lattice_in_box(*box, spacing) for spacing in (0.05, 0.02)]
+    lattices[1] = lattices[1][rng.random(len(lattices[1])) < 0.3]  # as near surfaces: most nodes are empty
+    hinges = np.concatenate(lattices)
+    gamma = np.repeat([1000.0, 5000.0], [len(h) for h in lattices]).astype(np.float32)
+    X = rng.uniform(-0.2, 0.5, (2000, dimensions)).astype(np.float32)  # some are out of reach
+    assert hinge_cells(hinges, gamma, 1e-2) is not None
+    features = sparse_features(X, hinges, gamma, 1e-2, torch.device("cpu"))
+    W = torch.randn(len(hinges), 3, generator=torch.Generator().manual_seed(0))
+    found = torch.empty(len(X), 3)
+    found[features.order] = features.times(W)
+    for rows, length, column, value in _by_search(X, hinges, gamma, 1e-2):
+        sums = torch.zeros(len(rows), 3)
+        sums.index_add_(
+            0, torch.arange(len(rows)).repeat_interleave(length), value[:, None] * W[column.long()]
+        )
+        torch.testing.assert_close(found[rows], sums, atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize("case", ["scattered", "twice in one place", "a width each"])
+def test_hinge_points_on_no_lattice_are_searched_for(case):
+    from mapping.hinge_cells import hinge_cells
+    from mapping.hinges import lattice_in_box
+
+    hinges = lattice_in_box(np.zeros(3), np.full(3, 0.2), 0.05)
+    gamma = np.full(len(hinges), 500, np.float32)
+    assert hinge_cells(hinges, gamma, 1e-2) is not None
+    if case == "scattered":
+        hinges = hinges + np.random.default_rng(0).normal(0, 0.01, hinges.shape).astype(np.float32)
+    elif case == "twice in one place":
+        hinges = np.concatenate([hinges, hinges[:1]])
+        gamma = np.append(gamma, gamma[:1])
+    else:
+        gamma = np.linspace(400, 600, len(hinges)).astype(np.float32)
+    assert hinge_cells(hinges, gamma, 1e-2) is None
+
+
+def test_parts_of_sparse_rows_make_up_the_whole(data):
+    from mapping.sparse_features import sparse_features
+
+    X, _, hinges = data
+    gamma = np.full(len(hinges), 300.0, np.float32)
+    rows = sparse_features(X, hinges, gamma, 1e-3, torch.device("cpu")).rows
+    W = torch.randn(len(hinges), 3, generator=torch.Generator().manual_seed(0))
+    for count in (1, 2, 7):
+        assert torch.equal(torch.cat([part.times(W) for part in rows.split(count)]), rows.times(W))
+
+
 @pytest.mark.parametrize("l2", [1e-2, 1e-4])
 def test_loss_is_within_1e3_of_scikit_learn(data, l2):
     X, y, hinges = data
