@@ -58,7 +58,8 @@ def sparse_factor(diagonal: torch.Tensor, hinges: np.ndarray, gamma: np.ndarray)
     count = len(hinges)
     rank = np.random.default_rng(0).permutation(count)  # a random order spreads the error evenly
     candidates = min(2 * NEIGHBOURS + NEIGHBOURS // 2, count)
-    near = cKDTree(hinges).query(hinges, candidates)[1].reshape(count, candidates)
+    tree = cKDTree(hinges)
+    near = tree.query(hinges, candidates, workers=torch.get_num_threads())[1].reshape(count, candidates)
     earlier = rank[near] < rank[:, None]
     # The nearest NEIGHBOURS earlier rows, the row itself last; -1 pads.
     order = np.argsort(~earlier, axis=1, kind="stable")[:, :NEIGHBOURS]

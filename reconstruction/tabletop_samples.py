@@ -44,7 +44,7 @@ class TabletopSamples:
     """Kernel width of the coarse hinge points [1/m^2]."""
     fine_spacing: float = 0.025
     """Spacing of the hinge lattice near objects and behind their surface [m]."""
-    fine_gamma: float = 2000.0
+    fine_gamma: float = 3000.0
     """Kernel width of the fine hinge points [1/m^2]."""
     fine_distance: float = 0.03
     """Fine hinge points lie within this distance of a seen object surface [m]."""
