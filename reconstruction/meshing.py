@@ -39,23 +39,17 @@ class MeshConfig:
 
 
 def extract_mesh(
-    field: Field,
-    index: int,
-    low: np.ndarray,
-    high: np.ndarray,
-    config: MeshConfig,
-    seen: np.ndarray | None = None,
+    field: Field, index: int, config: MeshConfig, seen: np.ndarray | None = None
 ) -> tuple[trimesh.Trimesh, np.ndarray] | None:
-    """Closed mesh of object `index` within the box low..high (3,) and p(uncertain) at its vertices (V,).
+    """Closed mesh of object `index` and p(uncertain) at its vertices (V,).
 
     In the field's frame. seen: points (N, 3) [m] on the object's surface, which the mesh is to keep.
-    Returns None when the object occupies no node of the box.
+    Returns None when the object occupies no node of its window.
     """
     from skimage.measure import marching_cubes
 
-    window = field.window(low, high)
-    log_odds, uncertainty = field.log_odds[(index, *window)], field.uncertainty[window]
-    corner = field.origin + field.spacing * np.array([w.start for w in window])
+    window = field.windows[index]
+    log_odds, uncertainty, corner = field.log_odds[index], field.uncertainty[window], field.corner(window)
     if seen is not None and config.keep_seen:
         log_odds = log_odds.copy()
         nodes = nodes_of_seen_cells(log_odds, corner, field.spacing, seen, 0.0, RULED_OUT)

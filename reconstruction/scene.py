@@ -16,7 +16,7 @@ from perception.observation import Observation, ObservedObject, Skipped
 from perception.observe import observe
 from perception.space import Space
 from reconstruction.config import PipelineConfig
-from reconstruction.field import Field, evaluate_field
+from reconstruction.field import Field, evaluate_field, overlap, window_of, within
 from reconstruction.meshing import extract_mesh
 from reconstruction.result import ObjectField, ReconstructedObject, Reconstruction
 
@@ -54,7 +54,7 @@ def reconstruct(frame: Frame, config: PipelineConfig | None = None, seed: int = 
     skipped = list(observation.skipped)
     with _timed(timings, "mesh"):
         for index, item in enumerate(observation.objects):
-            extracted = extract_mesh(field, index, lows[index], highs[index], config.mesh, item.points)
+            extracted = extract_mesh(field, index, config.mesh, item.points)
             if extracted is None:
                 skipped.append(
                     Skipped(item.label, item.name, "the map gives it no volume at this resolution")
@@ -110,12 +110,13 @@ def object_floor(observation: Observation, config: PipelineConfig) -> float | No
 
 def _object_field(field: Field, index: int, item: ObservedObject, bounds: np.ndarray) -> ObjectField:
     """The lattice around one object, two nodes wider than its mesh."""
-    window = field.window(bounds[0], bounds[1], pad=2)
-    first = np.array([w.start for w in window])
-    odds = field.log_odds[(index, *window)]
+    low, high = bounds
+    around = window_of(field.origin, field.spacing, field.uncertainty.shape, low, high, pad=2)
+    window = overlap(around, field.windows[index])
+    odds = field.log_odds[index][within(window, field.windows[index])]
     return ObjectField(
         label=item.label,
-        origin=field.origin + field.spacing * first,
+        origin=field.corner(window),
         spacing=field.spacing,
         occupancy=(1 / (1 + np.exp(-odds))).astype(np.float32),
         uncertainty=field.uncertainty[window],

@@ -251,15 +251,22 @@ def test_diagnostics_are_complete(result):
     assert result.config["preset"] == "tabletop"
 
 
-def test_an_enclosed_hollow_is_filled():
+def field_of(log_odds: np.ndarray):
+    """A field of one object on a 5 mm lattice, nowhere uncertain."""
     from reconstruction.field import Field
+
+    everywhere = tuple(slice(0, n) for n in log_odds.shape)
+    return Field(np.zeros(3), 0.005, [everywhere], [log_odds], np.zeros(log_odds.shape, np.float32))
+
+
+def test_an_enclosed_hollow_is_filled():
     from reconstruction.meshing import MeshConfig, extract_mesh
 
     axis = np.arange(-20, 21)
     radius = np.sqrt(sum(c**2 for c in np.meshgrid(axis, axis, axis, indexing="ij")))
     shell = np.minimum(15 - radius, radius - 6).astype(np.float32)  # positive between radius 6 and 15
-    field = Field(np.zeros(3), 0.005, shell[None], np.zeros(shell.shape, np.float32))
-    extracted = extract_mesh(field, 0, np.zeros(3), np.full(3, 0.2), MeshConfig())
+    field = field_of(shell)
+    extracted = extract_mesh(field, 0, MeshConfig())
     assert extracted is not None
     mesh, _ = extracted
     assert mesh.is_watertight
@@ -269,13 +276,11 @@ def test_an_enclosed_hollow_is_filled():
 
 def plate(thickness: float, height: float):
     """Log odds of a plate 0.1 m wide on a 5 mm lattice, and the points of its upper side."""
-    from reconstruction.field import Field
-
     axis = 0.005 * np.arange(41)
     x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
     inside = np.minimum(0.05 - np.maximum(abs(x - 0.1), abs(y - 0.1)), thickness / 2 - abs(z - height))
     odds = np.clip(1000 * inside, -3, 3).astype(np.float32)
-    field = Field(np.zeros(3), 0.005, odds[None], np.zeros(odds.shape, np.float32))
+    field = field_of(odds)
     across = np.arange(0.051, 0.15, 0.002)
     top = np.stack(np.meshgrid(across, across, [height + thickness / 2], indexing="ij"), -1).reshape(-1, 3)
     return field, top
@@ -285,10 +290,9 @@ def test_a_thing_thinner_than_a_cell_stays_whole():
     from reconstruction.meshing import MeshConfig, extract_mesh
 
     field, top = plate(thickness=0.002, height=0.0525)  # between the nodes at 50 and 55 mm
-    box = np.zeros(3), np.full(3, 0.2)
-    assert extract_mesh(field, 0, *box, MeshConfig()) is None
-    assert extract_mesh(field, 0, *box, MeshConfig(keep_seen=False), top) is None
-    extracted = extract_mesh(field, 0, *box, MeshConfig(), top)
+    assert extract_mesh(field, 0, MeshConfig()) is None
+    assert extract_mesh(field, 0, MeshConfig(keep_seen=False), top) is None
+    extracted = extract_mesh(field, 0, MeshConfig(), top)
     assert extracted is not None
     mesh, _ = extracted
     assert mesh.is_watertight
@@ -301,11 +305,10 @@ def test_a_seen_point_where_the_map_rules_an_object_out_leaves_no_trace():
     from reconstruction.meshing import MeshConfig, extract_mesh
 
     field, _ = plate(thickness=0.012, height=0.05)
-    field.log_odds[field.log_odds < -2] = -9
-    box = np.zeros(3), np.full(3, 0.2)
+    field.log_odds[0][field.log_odds[0] < -2] = -9
     astray = np.array([[0.02, 0.02, 0.1]])
-    without, _ = extract_mesh(field, 0, *box, MeshConfig())
-    with_stray, _ = extract_mesh(field, 0, *box, MeshConfig(), astray)
+    without, _ = extract_mesh(field, 0, MeshConfig())
+    with_stray, _ = extract_mesh(field, 0, MeshConfig(), astray)
     assert np.array_equal(without.vertices, with_stray.vertices)
 
 
@@ -313,6 +316,4 @@ def test_points_outside_the_lattice_are_no_error():
     from reconstruction.meshing import MeshConfig, extract_mesh
 
     field, _ = plate(thickness=0.012, height=0.05)
-    assert (
-        extract_mesh(field, 0, np.zeros(3), np.full(3, 0.2), MeshConfig(), np.full((3, 3), 9.0)) is not None
-    )
+    assert extract_mesh(field, 0, MeshConfig(), np.full((3, 3), 9.0)) is not None

@@ -129,7 +129,7 @@ def delivered_meshes(fitted: FittedMap, case: Case, config: MeshConfig) -> Deliv
     meshes = {}
     for index, item in enumerate(case.observation.objects):
         seen = item.points if fitted.keeps_seen else None
-        extracted = extract_mesh(field, index, lows[index], highs[index], config, seen)
+        extracted = extract_mesh(field, index, config, seen)
         if extracted is not None:
             meshes[item.label] = extracted
     return meshes

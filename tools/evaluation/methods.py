@@ -28,7 +28,7 @@ from mapping.lattice import LatticeEvaluator
 from perception.observation import Observation
 from perception.space import Space
 from reconstruction.config import override, preset
-from reconstruction.field import OUTSIDE, Field, evaluate_field
+from reconstruction.field import OUTSIDE, Field, evaluate_field, window_of
 from reconstruction.meshing import MeshConfig
 from reconstruction.paper_samples import PaperSamples
 from reconstruction.scene import object_floor
@@ -73,7 +73,9 @@ class FittedMap(ABC):
         odds[:, wanted] = np.log(p / (1 - p))
         everywhere = np.ones(len(nodes), np.float32)
         everywhere[wanted] = uncertainty
-        return Field(origin, spacing, odds.reshape(-1, *shape), everywhere.reshape(shape))
+        windows = [window_of(origin, spacing, shape, *box) for box in zip(lows, highs)]
+        of_objects = [of_one.reshape(shape)[window] for of_one, window in zip(odds, windows)]
+        return Field(origin, spacing, windows, of_objects, everywhere.reshape(shape))
 
     def worth_asking(self, axes: list[np.ndarray]) -> np.ndarray:
         """Lattice nodes (nx, ny, nz) where an object can have P > 0.5, and those beside them."""
