@@ -42,13 +42,18 @@ class HingeCells:
     def locate(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """For points (N, d): the cell (N,) of the nearest node, -1 where no hinge point is in reach, and the
         terms (N, d + 2): offset from that node, its square, and 1."""
-        node = np.rint((X - self.low) / self.spacing).astype(np.int32)
-        offset = X - (self.low + node * self.spacing).astype(np.float32)
-        square = np.einsum("nd,nd->n", offset, offset)
-        inside = np.all((node >= 0) & (node < self.shape), axis=1)
-        cell = np.ravel_multi_index(tuple(np.where(inside[:, None], node, 0).T), self.shape)
-        cell = np.where(inside & self.reached[cell], cell, -1)
-        return cell, np.column_stack([offset, square, np.ones_like(square)])
+        d = X.shape[1]
+        terms = np.ones((len(X), d + 2), np.float32)
+        cell = np.zeros(len(X), np.int32)
+        inside = np.ones(len(X), bool)
+        for i, size in enumerate(self.shape):
+            along = X[:, i] - np.float32(self.low[i])
+            node = np.rint(along / np.float32(self.spacing[i]))
+            terms[:, i] = along - node * np.float32(self.spacing[i])
+            inside &= (node >= 0) & (node < size)
+            cell = cell * np.int32(size) + np.clip(node, 0, size - 1).astype(np.int32)
+        np.einsum("nd,nd->n", terms[:, :d], terms[:, :d], out=terms[:, d])
+        return np.where(inside & self.reached[cell], cell, -1), terms
 
 
 def hinge_cells(hinges: np.ndarray, gamma: np.ndarray, cutoff: float) -> list[HingeCells] | None:

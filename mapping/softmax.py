@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import torch
 
 from mapping.preconditioner import SparseFactor
-from mapping.sparse_features import SparseFeatures
+from mapping.sparse_features import SparseFeatures, SparseRows
 from mapping.threads import Threads
 
 
@@ -128,7 +128,7 @@ class _Objective:
 
     def logits_of(self, W: torch.Tensor) -> torch.Tensor:
         """Phi W: (H, C) -> (N, C)."""
-        return torch.cat(self.threads.map(lambda part: part.times(W), self.rows))
+        return self._joined(self.rows, W)
 
     def loss_and_residual(self, W: torch.Tensor, logits: torch.Tensor) -> tuple[float, torch.Tensor]:
         """The objective and its derivative by the logits (N, C)."""
@@ -151,8 +151,14 @@ class _Objective:
 
     def gradient(self, W: torch.Tensor, residual: torch.Tensor) -> torch.Tensor:
         """The objective's derivative by W (H, C)."""
-        parts = self.threads.map(lambda part: part.times(residual), self.columns)
-        return torch.cat(parts).add_(W, alpha=self.l2)
+        return self._joined(self.columns, residual).add_(W, alpha=self.l2)
+
+    def _joined(self, parts: list[SparseRows], table: torch.Tensor) -> torch.Tensor:
+        """The products of consecutive parts with a table, each thread writing its own."""
+        out = table.new_empty(sum(len(part.offsets) for part in parts), table.shape[1])
+        pieces = zip(parts, out.split([len(part.offsets) for part in parts]))
+        self.threads.map(lambda piece: piece[1].copy_(piece[0].times(table)), pieces)
+        return out
 
 
 def _inverse_hessian_times(

@@ -137,6 +137,22 @@ def test_an_object_without_prediction_counts_as_missing(case: Case) -> None:
     assert all(item == {"iou": 0.0, "chamfer_mm": None} for item in found.values())
 
 
+def test_seen_cells_make_a_mesh_but_no_prediction(case: Case) -> None:
+    class Faint(TrueMap):
+        keeps_seen = True
+
+        def predict(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            probability, uncertainty = super().predict(points)
+            probability = 0.3 * probability
+            probability[:, 0] = 1 - probability[:, 1:].sum(1)
+            return probability, uncertainty
+
+    found = coarse_protocol(coarse_answers(Faint(case), case), case, np.random.default_rng(0))
+    for item in found.values():
+        assert item["iou"] == 0
+        assert item["chamfer_mm"] is not None
+
+
 def test_iou_of_meshes_is_that_of_their_volumes(case: Case) -> None:
     mesh = case.meshes[1]
     assert mesh_iou(Solid(mesh), Solid(mesh), 0.005) == 1

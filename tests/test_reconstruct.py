@@ -317,3 +317,26 @@ def test_points_outside_the_lattice_are_no_error():
 
     field, _ = plate(thickness=0.012, height=0.05)
     assert extract_mesh(field, 0, MeshConfig(), np.full((3, 3), 9.0)) is not None
+
+
+def test_windows_hold_all_that_the_map_gives_an_object(result):
+    from reconstruction.field import evaluate_field
+    from reconstruction.scene import object_space
+
+    spacing = 0.005
+    lows, highs = object_space(result.observation, 0.1)
+    field = evaluate_field(result.map, lows, highs, spacing)
+    axes = [o + spacing * np.arange(n) for o, n in zip(field.origin, field.uncertainty.shape)]
+    probability = result.map.predict_lattice(tuple(axes))
+    structure = probability[..., :-1] / probability[..., :-1].sum(-1, keepdims=True)
+    for index, (low, high) in enumerate(zip(lows, highs)):
+        inside = structure[..., index + 1] > 0.5
+        for axis, along in enumerate(axes):
+            beyond = (along < low[axis]) | (along > high[axis])
+            np.moveaxis(inside, axis, 0)[beyond] = False
+        window = field.windows[index]
+        assert inside[window].sum() == inside.sum() > 0
+        p = structure[(*window, index + 1)]
+        sure = (field.log_odds[index] > 0) != (p > 0.5)
+        assert np.abs(p[sure] - 0.5).max(initial=0) < 0.02  # others' small parts are left out of a block
+        np.testing.assert_allclose(field.uncertainty[window], probability[(*window, -1)], atol=0.02)

@@ -27,7 +27,8 @@ def coarse_protocol(
 ) -> dict[int, dict[str, Any]]:
     """V-PRISM's protocol: {label: {iou, chamfer_mm}}; occupied is where P(object) > 0.5.
 
-    An object without prediction has IoU 0 and Chamfer None.
+    An object that occupies no node has IoU 0, even where its true shape falls between the nodes too; one
+    without a mesh has Chamfer None.
     """
     found: dict[int, dict[str, Any]] = {}
     for label in case.judged:
@@ -35,7 +36,8 @@ def coarse_protocol(
         answer = answers.get(label)
         if answer is not None and answer.mesh is not None:
             true = case.solids[label]
-            found[label]["iou"] = iou(answer.occupied, true.inside(coarse_grid(case, label)))
+            if answer.occupied.any():
+                found[label]["iou"] = iou(answer.occupied, true.inside(coarse_grid(case, label)))
             found[label]["chamfer_mm"] = 1e3 * chamfer(answer.mesh, true.mesh, rng)
     return found
 
