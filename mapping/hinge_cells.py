@@ -55,6 +55,12 @@ class HingeCells:
         np.einsum("nd,nd->n", terms[:, :d], terms[:, :d], out=terms[:, d])
         return np.where(inside & self.reached[cell], cell, -1), terms
 
+    def candidates(self, cell: torch.Tensor) -> torch.Tensor:
+        """Hinge points (n, M) int32 that may be in reach of points in cells (n,) int32; -1: none is there."""
+        places = cell[:, None] + self.steps
+        # Several times as fast as indexing with a tensor of two dimensions.
+        return self.ids.index_select(0, places.view(-1)).view(places.shape)
+
 
 def hinge_cells(hinges: np.ndarray, gamma: np.ndarray, cutoff: float) -> list[HingeCells] | None:
     """Tables of hinge points (H, d), one a width in gamma (H,); None where they lie on no lattices.
@@ -91,11 +97,13 @@ def _cells_of_width(hinges: np.ndarray, rows: np.ndarray, gamma: float, cutoff: 
     # Two rims: candidates of a node in the first one lie in the second at most.
     index = np.stack(node, 1) + 2 * rim
     shape = tuple(int(n) for n in index.max(0) + 1 + 2 * rim)
-    if np.prod(shape, dtype=float) > LARGEST_TABLE or len(np.unique(index, axis=0)) < len(index):
+    if np.prod(shape, dtype=float) > LARGEST_TABLE:
         return None
     cell = np.ravel_multi_index(tuple(index.T), shape)
     ids = np.full(np.prod(shape), -1, np.int32)
     ids[cell] = rows
+    if np.count_nonzero(ids >= 0) < len(rows):
+        return None  # several in one place
     strides = np.array([np.prod(shape[i + 1 :], dtype=int) for i in range(len(shape))])
     steps = offsets @ strides
     reached = np.zeros(len(ids), bool)

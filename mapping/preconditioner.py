@@ -12,7 +12,7 @@ import torch
 
 from mapping.threads import Threads
 
-NEIGHBOURS = 8
+NEIGHBOURS = 5
 """Earlier hinge points each row of the factor couples to; more cost several times as much for no gain."""
 RIDGE = 1e-3
 """Added to the unit diagonal of the correlations."""
@@ -57,7 +57,7 @@ def sparse_factor(diagonal: torch.Tensor, hinges: np.ndarray, gamma: np.ndarray)
 
     count = len(hinges)
     rank = np.random.default_rng(0).permutation(count)  # a random order spreads the error evenly
-    candidates = min(2 * NEIGHBOURS + NEIGHBOURS // 2, count)
+    candidates = min(5 * NEIGHBOURS // 2, count)
     tree = cKDTree(hinges)
     near = tree.query(hinges, candidates, workers=torch.get_num_threads())[1].reshape(count, candidates)
     earlier = rank[near] < rank[:, None]

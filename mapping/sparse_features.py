@@ -142,11 +142,12 @@ def _by_cells(X: np.ndarray, cells: list[HingeCells], radius: float, cutoff: flo
         if not reaching:
             none = torch.empty(0)
             return found, torch.zeros(len(found), dtype=torch.int64), none.int(), none
-        ids = torch.cat([cells[i].ids[cell_t[i][rows, None] + cells[i].steps] for i in reaching], 1)
+        ids = torch.cat([cells[i].candidates(cell_t[i][rows]) for i in reaching], 1)
         exponent = torch.cat([terms_t[i][rows] @ cells[i].quadratic for i in reaching], 1)
         kept = (exponent > smallest) & (ids >= 0)
         pairs = kept.view(-1).nonzero()[:, 0]
-        return found, kept.sum(1), ids.view(-1)[pairs], exponent.view(-1)[pairs].exp_()
+        columns, values = (table.view(-1).index_select(0, pairs) for table in (ids, exponent))
+        return found, kept.sum(1), columns, values.exp_()
 
     return map_in_threads(rows_of, _parts(kind[order], [len(table.steps) for table in cells]))
 
