@@ -165,7 +165,7 @@ def even_gram(places: np.ndarray, gamma: np.ndarray) -> np.ndarray:
 def test_the_factor_is_exact_when_every_row_couples_to_all_earlier_ones():
     rng = np.random.default_rng(0)
     count = NEIGHBOURS  # each row has at most this many earlier ones
-    places = rng.uniform(-0.015, 0.015, (count, 2)).astype(np.float32)
+    places = rng.uniform(-0.010, 0.010, (count, 2)).astype(np.float32)
     gamma = rng.uniform(500, 4000, count).astype(np.float32)
     diagonal = rng.uniform(1, 3, count).astype(np.float32)
     gram = np.sqrt(np.outer(diagonal, diagonal)) * even_gram(places, gamma)
