@@ -92,6 +92,7 @@ class FittedContraMap(FittedMap):
         self, model: ContraMap, training: TrainingSet, mesh: MeshConfig, floor: float | None = None
     ) -> None:
         self.model, self.mesh, self.floor, self.keeps_seen = model, mesh, floor, mesh.keep_seen
+        self.lattice = model.lattice()
         self.samples = training.X[training.y.argmax(1) < training.y.shape[1] - 1]
 
     def predict(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -100,7 +101,7 @@ class FittedContraMap(FittedMap):
         return structure.cpu().numpy(), torch.softmax(logits, 1)[:, -1].cpu().numpy()
 
     def occupancy(self, axes: list[np.ndarray], index: int) -> np.ndarray:
-        logits = self.model.lattice()(axes)[:-1]
+        logits = self.lattice(axes)[:-1]
         probability = torch.softmax(logits, 0)[index + 1].cpu().numpy()
         if self.floor is not None:
             probability[:, :, axes[2] < self.floor] = 0
@@ -114,17 +115,17 @@ class FittedHilbert(FittedMap):
     """Hilbert map: the same softmax, uncertainty is the entropy of its answer."""
 
     def __init__(self, model: HilbertMap, samples: np.ndarray) -> None:
-        self.model, self.samples = model, samples
+        self.model, self.samples, self.lattice = model, samples, model.lattice()
 
     def predict(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         probability = self.model.predict_proba(points)
         return probability, normalised_entropy(probability)
 
     def occupancy(self, axes: list[np.ndarray], index: int) -> np.ndarray:
-        return torch.softmax(self.model.lattice()(axes), 0)[index + 1].cpu().numpy()
+        return torch.softmax(self.lattice(axes), 0)[index + 1].cpu().numpy()
 
     def worth_asking(self, axes: list[np.ndarray]) -> np.ndarray:
-        return _beside(self.model.lattice()(axes).argmax(0).cpu().numpy() > 0)
+        return _beside(self.lattice(axes).argmax(0).cpu().numpy() > 0)
 
 
 class FittedVPrism(FittedMap):
@@ -132,6 +133,10 @@ class FittedVPrism(FittedMap):
 
     def __init__(self, model: VPrism, samples: np.ndarray) -> None:
         self.model, self.samples = model, samples
+        weights, hinges = model.mu.T.float(), model.hinges
+        bias = weights[-1] if model.config.bias else torch.zeros(model.class_count)
+        gamma = np.full(len(hinges), model.config.gamma, np.float32)
+        self.means = LatticeEvaluator(hinges, gamma, weights[: len(hinges)], bias)
 
     def predict(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         probability = self.model.predict_proba(points)
@@ -140,11 +145,7 @@ class FittedVPrism(FittedMap):
     def worth_asking(self, axes: list[np.ndarray]) -> np.ndarray:
         # P_k = 1 / (1 + sum_j exp(-margin_kj)) > 1/2 needs every margin > 0: only the class with the largest
         # mean can have it. Means are cheap on a lattice, variances are not.
-        weights, hinges = self.model.mu.T.float(), self.model.hinges
-        bias = weights[-1] if self.model.config.bias else torch.zeros(self.model.class_count)
-        gamma = np.full(len(hinges), self.model.config.gamma, np.float32)
-        logits = LatticeEvaluator(hinges, gamma, weights[: len(hinges)], bias)(axes)
-        return _beside(logits.argmax(0).numpy() > 0)
+        return _beside(self.means(axes).argmax(0).numpy() > 0)
 
 
 class FittedDenseVPrism(FittedVPrism):
