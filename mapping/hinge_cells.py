@@ -14,6 +14,9 @@ from mapping.kernels import reach
 
 LARGEST_TABLE = 2**22
 """Cells of a table; with hinge points further apart than this covers, a search is cheaper."""
+MOST_CANDIDATES = 4096
+"""Nodes of the box around a point's reach. With more, rounding alone makes scattered points look like a
+lattice."""
 MOST_WIDTHS = 8
 """Each width has a table of its own."""
 UNEVEN = 1e-2
@@ -92,6 +95,8 @@ def _cells_of_width(hinges: np.ndarray, rows: np.ndarray, gamma: float, cutoff: 
         sides.append(step)
         node.append(np.rint(index).astype(np.int64))
     spacing = np.array(sides)
+    if np.prod(2 * radius / spacing + 1) > MOST_CANDIDATES:
+        return None
     offsets = _offsets_in_reach(spacing, radius)
     rim = offsets.max(0)
     # Two rims: candidates of a node in the first one lie in the second at most.

@@ -18,6 +18,8 @@ def nodes_of_seen_cells(
     unless the map rules it out with a value of `least` or below. values: (nx, ny, nz) at origin + spacing *
     (i, j, k) [m].
     """
+    if min(values.shape) < 2:  # no cell at all
+        return tuple(np.empty((values.ndim, 0), int))
     cells = np.floor((points - origin) / spacing).astype(int)
     cells = cells[np.all((cells >= 0) & (cells < np.array(values.shape) - 1), axis=1)]
     # Thousands of points lie in hundreds of cells.

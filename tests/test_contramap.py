@@ -106,7 +106,7 @@ def test_features_found_by_cells_are_those_found_by_search(dimensions):
         torch.testing.assert_close(found[rows], sums, atol=1e-4, rtol=0)
 
 
-@pytest.mark.parametrize("case", ["scattered", "twice in one place", "a width each"])
+@pytest.mark.parametrize("case", ["scattered", "many scattered", "twice in one place", "a width each"])
 def test_hinge_points_on_no_lattice_are_searched_for(case):
     from mapping.hinge_cells import hinge_cells
     from mapping.hinges import lattice_in_box
@@ -116,6 +116,10 @@ def test_hinge_points_on_no_lattice_are_searched_for(case):
     assert hinge_cells(hinges, gamma, 1e-2) is not None
     if case == "scattered":
         hinges = hinges + np.random.default_rng(0).normal(0, 0.01, hinges.shape).astype(np.float32)
+    elif case == "many scattered":
+        # So many that float32 leaves them multiples of its last bit along each axis.
+        hinges = np.random.default_rng(0).uniform(0.5, 1, (20_000, 3)).astype(np.float32)
+        gamma = np.full(len(hinges), 500, np.float32)
     elif case == "twice in one place":
         hinges = np.concatenate([hinges, hinges[:1]])
         gamma = np.append(gamma, gamma[:1])

@@ -312,6 +312,28 @@ def test_a_seen_point_where_the_map_rules_an_object_out_leaves_no_trace():
     assert np.array_equal(without.vertices, with_stray.vertices)
 
 
+@pytest.mark.parametrize("shape", [(0, 0, 0), (1, 5, 5)])
+def test_an_object_that_the_map_finds_nowhere_is_no_error(shape):
+    from reconstruction.meshing import MeshConfig, extract_mesh
+
+    field = field_of(np.full(shape, -9, np.float32))
+    assert extract_mesh(field, 0, MeshConfig(), np.full((3, 3), 0.001)) is None
+
+
+def test_an_object_in_empty_air_has_an_empty_window(result):
+    from reconstruction.field import evaluate_field
+    from reconstruction.meshing import MeshConfig, extract_mesh
+    from reconstruction.scene import object_space
+
+    lows, highs = object_space(result.observation, 0.1)
+    free = result.samples[result.sample_classes == 0]
+    air = free[free[:, 2].argmax()]  # a place that rays have passed through
+    lows[0], highs[0] = air - 0.01, air + 0.01
+    field = evaluate_field(result.map, lows, highs, 0.005)
+    assert extract_mesh(field, 0, MeshConfig(), air[None]) is None
+    assert extract_mesh(field, 1, MeshConfig(), result.observation.objects[1].points) is not None
+
+
 def test_points_outside_the_lattice_are_no_error():
     from reconstruction.meshing import MeshConfig, extract_mesh
 
