@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
+from math import isfinite
 
 import torch
 
@@ -55,31 +56,28 @@ def fit_softmax(
     steps. Logits are linear in W, so trying a step length costs an exponential a sample and no product.
     """
     with Threads(offset.device) as threads:
-        objective = _Objective(features, targets, sample_weights, l2, len(offset), threads)
-        return _minimise(objective, offset, coordinates, config)
+        objective = _Objective(features, targets, sample_weights, offset, l2, threads)
+        return _minimise(objective, coordinates, config)
 
 
 def _minimise(
-    objective: _Objective, offset: torch.Tensor, coordinates: SparseFactor, config: FitConfig
+    objective: _Objective, coordinates: SparseFactor, config: FitConfig
 ) -> tuple[torch.Tensor, FitReport]:
     """L-BFGS from W = 0 with a backtracking line search (Nocedal and Wright, chapters 3 and 7)."""
-    W = torch.zeros(objective.shape, device=offset.device)
-    logits = offset.expand(objective.samples, -1).contiguous()
-    loss, residual = objective.loss_and_residual(W, logits)
-    gradient = coordinates.pull(objective.gradient(W, residual))
+    W = objective.start()
+    loss, slopes = objective.at(W, 0.0)
+    gradient = coordinates.pull(slopes)
     losses = [loss]
     history: deque[tuple[torch.Tensor, torch.Tensor, float]] = deque(maxlen=config.memory)
     converged = False
     for _ in range(config.max_iterations):
-        step_U = -_inverse_hessian_times(gradient, history)
+        step_U = _inverse_hessian_times(gradient, history).neg_()
         slope = _dot(gradient, step_U)
         direction = coordinates.push(step_U)
-        logits_direction = objective.logits_of(direction)
-        length, trial_loss = 1.0, loss
-        for _ in range(12):
+        length = 1.0
+        for trial in range(12):
             trial_W = torch.add(W, direction, alpha=length)
-            trial_logits = torch.add(logits, logits_direction, alpha=length)
-            trial_loss, residual = objective.loss_and_residual(trial_W, trial_logits)
+            trial_loss, slopes = objective.at(trial_W, length, direction if trial == 0 else None)
             if trial_loss <= loss + 1e-4 * length * slope:
                 break
             # Minimum of the parabola through both losses and the slope, kept within 0.1-0.6 of the length.
@@ -88,12 +86,13 @@ def _minimise(
         else:
             converged = True  # no descent is left at this precision
             break
-        new_gradient = coordinates.pull(objective.gradient(trial_W, residual))
-        s, y = length * step_U, new_gradient - gradient
+        objective.accept()
+        new_gradient = coordinates.pull(slopes)
+        s, y = step_U.mul_(length), new_gradient - gradient
         curvature = _dot(s, y)
         if curvature > 0:
             history.append((s, y, curvature))
-        W, logits, loss, gradient = trial_W, trial_logits, trial_loss, new_gradient
+        W, loss, gradient = trial_W, trial_loss, new_gradient
         losses.append(loss)
         if len(losses) > 3 and losses[-4] - loss < 3 * config.tolerance:
             converged = True
@@ -102,9 +101,9 @@ def _minimise(
 
 
 class _Objective:
-    """The penalised cross-entropy and its gradient, each thread having its share of samples or hinge points.
+    """The penalised cross-entropy and its gradient, each thread having its share of the samples.
 
-    Split so that logits are computed once a step.
+    Logits are linear in W: each share keeps its own and those of the direction searched along.
     """
 
     def __init__(
@@ -112,53 +111,84 @@ class _Objective:
         features: SparseFeatures,
         targets: torch.Tensor,
         weights: torch.Tensor,
+        offset: torch.Tensor,
         l2: float,
-        classes: int,
         threads: Threads,
     ):
         if targets.ndim == 1:
-            targets = torch.nn.functional.one_hot(targets, classes).float()
-        self.samples = len(weights)
-        self.shape = len(features.transposed.offsets), classes
-        self.weights, self.l2, self.threads = weights, l2, threads
-        self.weighted_targets = targets * weights[:, None]
-        self.rows = features.rows.split(threads.count)
-        self.columns = features.transposed.split(threads.count)
-        self.shares = threads.split(self.samples)
+            targets = torch.nn.functional.one_hot(targets, len(offset)).float()
+        targets = targets * weights[:, None]
+        self.shape = features.hinge_count, len(offset)
+        self.l2, self.threads = l2, threads
+        parts = features.rows.split(threads.count)
+        sizes = [len(part.offsets) for part in parts]
+        pieces = zip(parts, weights.split(sizes), targets.split(sizes))
+        self.shares = threads.map(lambda piece: _Share(*piece, offset, self.shape[0]), pieces)
 
-    def logits_of(self, W: torch.Tensor) -> torch.Tensor:
-        """Phi W: (H, C) -> (N, C)."""
-        return self._joined(self.rows, W)
+    def start(self) -> torch.Tensor:
+        """W = 0, where the logits are the offset."""
+        return self.shares[0].logits.new_zeros(self.shape)
 
-    def loss_and_residual(self, W: torch.Tensor, logits: torch.Tensor) -> tuple[float, torch.Tensor]:
-        """The objective and its derivative by the logits (N, C)."""
-        residual = torch.empty_like(logits)
+    def at(
+        self, W: torch.Tensor, length: float, direction: torch.Tensor | None = None
+    ) -> tuple[float, torch.Tensor]:
+        """The objective at W and its derivative (H, C), W being `length` of the direction (H, C) away from the
+        last accepted place; None: the direction is the one asked for before."""
 
-        def cross_entropy(rows: slice) -> float:
-            part, weights, targets = logits[rows], self.weights[rows], self.weighted_targets[rows]
-            # Without the row maximum float32 overflows past 88; it is rarely needed, so it is conditional.
-            low, high = torch.aminmax(part)
-            if max(-float(low), float(high)) > 60.0:
-                part = part - part.amax(1, keepdim=True)
-            p = torch.exp(part, out=residual[rows])
-            total = p @ p.new_ones(p.shape[1])  # twice as fast as a sum over short rows
-            loss = torch.dot(weights, total.log()) - torch.dot(targets.view(-1), part.view(-1))
-            p.mul_((weights / total)[:, None]).sub_(targets)
-            return float(loss)
+        # One piece of work a thread: handing it over costs as much as a product with few samples.
+        def part(share: _Share) -> tuple[float, torch.Tensor]:
+            if direction is not None:
+                share.along = share.rows.times(direction)
+            loss, residual = share.loss_and_residual(length)
+            return loss, share.columns.times(residual)
 
-        penalty = 0.5 * self.l2 * _dot(W, W)
-        return sum(self.threads.map(cross_entropy, self.shares)) + penalty, residual
+        losses, gradients = zip(*self.threads.map(part, self.shares))
+        gradient = torch.add(gradients[0], W, alpha=self.l2)
+        for other in gradients[1:]:
+            gradient.add_(other)
+        return sum(losses) + 0.5 * self.l2 * _dot(W, W), gradient
 
-    def gradient(self, W: torch.Tensor, residual: torch.Tensor) -> torch.Tensor:
-        """The objective's derivative by W (H, C)."""
-        return self._joined(self.columns, residual).add_(W, alpha=self.l2)
+    def accept(self) -> None:
+        """The place asked about last is where the next direction starts."""
+        for share in self.shares:
+            share.logits, share.trial = share.trial, share.logits
 
-    def _joined(self, parts: list[SparseRows], table: torch.Tensor) -> torch.Tensor:
-        """The products of consecutive parts with a table, each thread writing its own."""
-        out = table.new_empty(sum(len(part.offsets) for part in parts), table.shape[1])
-        pieces = zip(parts, out.split([len(part.offsets) for part in parts]))
-        self.threads.map(lambda piece: piece[1].copy_(piece[0].times(table)), pieces)
-        return out
+
+class _Share:
+    """Some samples, and the logits they have where the fit stands."""
+
+    def __init__(
+        self,
+        rows: SparseRows,
+        weights: torch.Tensor,
+        weighted_targets: torch.Tensor,
+        offset: torch.Tensor,
+        hinge_count: int,
+    ):
+        self.rows, self.columns = rows, rows.transposed(hinge_count)
+        self.weights, self.weighted_targets = weights, weighted_targets
+        self.logits = offset.repeat(len(weights), 1)
+        self.along = torch.zeros_like(self.logits)
+        self.trial, self.residual = torch.empty_like(self.logits), torch.empty_like(self.logits)
+
+    def loss_and_residual(self, length: float) -> tuple[float, torch.Tensor]:
+        """The cross-entropy `length` along the direction and its derivative by the logits (n, C)."""
+        torch.add(self.logits, self.along, alpha=length, out=self.trial)
+        loss, scale = self._exponentials(self.trial)
+        if not isfinite(loss):
+            # Beyond 88 float32 overflows; rare, so the rows' maxima are only taken when it happens.
+            self.trial.sub_(self.trial.amax(1, keepdim=True))
+            loss, scale = self._exponentials(self.trial)
+        return loss, self.residual.mul_(scale[:, None]).sub_(self.weighted_targets)
+
+    def _exponentials(self, logits: torch.Tensor) -> tuple[float, torch.Tensor]:
+        """Fills `residual` with exponentials; the loss, and the factor (n,) that turns them into weighted
+        probabilities."""
+        p = torch.exp(logits, out=self.residual)
+        total = p @ p.new_ones(p.shape[1])  # twice as fast as a sum over short rows
+        loss = torch.dot(self.weights, total.log())
+        loss -= torch.dot(self.weighted_targets.view(-1), logits.view(-1))
+        return float(loss), self.weights / total
 
 
 def _inverse_hessian_times(

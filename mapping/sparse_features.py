@@ -5,7 +5,7 @@ Knows points, hinge points and widths; knows nothing of classes, weights' meanin
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -41,6 +41,16 @@ class SparseRows:
             self.columns, table, self.offsets, mode="sum", per_sample_weights=self.values
         )
 
+    def transposed(self, count: int) -> SparseRows:
+        """The transpose, a row for each of `count` columns."""
+        from scipy import sparse  # here, since it would add to the cost of importing the map
+
+        ends = np.append(self.offsets.cpu().numpy(), np.int32(len(self.values)))
+        parts = self.values.cpu().numpy(), self.columns.cpu().numpy(), ends
+        turned = sparse.csr_matrix(parts, (len(self.offsets), count)).tocsc()
+        arrays = turned.indptr[:-1].astype(np.int32), turned.indices.astype(np.int32), turned.data
+        return SparseRows(*(torch.from_numpy(a).to(self.values.device) for a in arrays))
+
     def split(self, count: int) -> list[SparseRows]:
         """Consecutive parts with about as many values each: rows near objects are much longer than others."""
         wanted = torch.arange(1, count) * (len(self.values) // count)
@@ -57,7 +67,7 @@ class SparseRows:
 
 @dataclass(frozen=True)
 class SparseFeatures:
-    """Truncated features of N points and, for gradients, their transpose.
+    """Truncated features of N points.
 
     order: (N,) the row's index in the caller's array (rows are sorted by block for locality); strongest:
     (N,) largest feature of each row.
@@ -66,20 +76,18 @@ class SparseFeatures:
     order: torch.Tensor
     strongest: torch.Tensor
     rows: SparseRows
-    transposed: SparseRows
+    hinge_count: int
 
     def times(self, W: torch.Tensor) -> torch.Tensor:
         """Phi W: (H, C) -> (N, C)."""
         return self.rows.times(W)
 
-    def transpose_times(self, R: torch.Tensor) -> torch.Tensor:
-        """Phi^T R: (N, C) -> (H, C)."""
-        return self.transposed.times(R)
-
     def squared_column_sums(self, row_weights: torch.Tensor) -> torch.Tensor:
         """sum_i w_i phi_ih^2 for each hinge: (N,) -> (H,)."""
-        squared = replace(self.transposed, values=self.transposed.values.square())
-        return squared.times(row_weights[:, None])[:, 0]
+        ends = torch.cat([self.rows.offsets, self.rows.offsets.new_tensor([len(self.rows.values)])])
+        of_values = row_weights.repeat_interleave(ends.diff())
+        sums = row_weights.new_zeros(self.hinge_count)
+        return sums.index_add_(0, self.rows.columns, of_values.mul_(self.rows.values.square()))
 
 
 def sparse_features(
@@ -90,8 +98,6 @@ def sparse_features(
     device: torch.device,
 ) -> SparseFeatures:
     """Truncated features of X (N, d); each row keeps the hinges whose feature exceeds `cutoff`."""
-    from scipy import sparse  # here, since it would add to the cost of importing the map
-
     cells = hinge_cells(hinges, gamma, cutoff)
     if cells is None:
         parts = _by_search(X, hinges, gamma, cutoff)
@@ -99,9 +105,6 @@ def sparse_features(
         parts = _by_cells(X, cells, float(reach(gamma.min(), cutoff)), cutoff)
     order, length, column, value = (torch.cat(part) for part in zip(*parts))
     ends = np.append(0, np.cumsum(length.numpy())).astype(np.int32)
-    shape = (len(order), len(hinges))
-    transposed = sparse.csr_matrix((value.numpy(), column.numpy(), ends), shape).tocsc()
-    csc = (transposed.indptr[:-1].astype(np.int32), transposed.indices.astype(np.int32), transposed.data)
     strongest = np.zeros(len(order), np.float32)
     filled = length.numpy() > 0
     strongest[filled] = np.maximum.reduceat(value.numpy(), ends[:-1][filled])
@@ -109,7 +112,7 @@ def sparse_features(
         order.to(device),
         torch.from_numpy(strongest).to(device),
         SparseRows(*(t.to(device) for t in (torch.from_numpy(ends[:-1]), column, value))),
-        SparseRows(*(torch.from_numpy(a).to(device) for a in csc)),
+        len(hinges),
     )
 
 

@@ -7,9 +7,10 @@ the cores that costs tens of times what they win.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
+from queue import SimpleQueue
 from typing import TypeVar
 
 import torch
@@ -28,41 +29,62 @@ class Threads:
     def __init__(self, device: torch.device | None = None) -> None:
         on_cpu = device is None or device.type == "cpu"
         self.count = torch.get_num_threads() if on_cpu else 1
-        self._pool: ThreadPoolExecutor | None = None
+        self._work: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
+        self._workers: list[threading.Thread] = []
 
     def __enter__(self) -> Self:
         if self.count > 1:
-            # Every thread must be told: MKL keeps its count thread by thread, and its sums, to the last bit,
-            # depend on it.
-            one = (1,)
-            self._pool = ThreadPoolExecutor(self.count - 1, initializer=torch.set_num_threads, initargs=one)
+            for _ in range(self.count - 1):
+                worker = threading.Thread(target=self._serve, daemon=True)
+                worker.start()
+                self._workers.append(worker)
             torch.set_num_threads(1)
         return self
 
     def __exit__(self, *exception: object) -> None:
-        if self._pool is not None:
-            self._pool.shutdown()
+        for _ in self._workers:
+            self._work.put(None)
+        for worker in self._workers:
+            worker.join()
+        if self._workers:
             torch.set_num_threads(self.count)
+        self._workers.clear()
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
         """[function(item) for item in items]; the order, so the result, is kept."""
-        if self._pool is None:
+        if not self._workers:
             return [function(item) for item in items]
         queue = iter(list(enumerate(items)))  # next() of a list's iterator is atomic
+        finished: SimpleQueue[dict[int, Result] | BaseException] = SimpleQueue()
 
-        def work() -> list[tuple[int, Result]]:
-            return [(index, function(item)) for index, item in queue]
+        def work() -> None:
+            try:
+                finished.put({index: function(item) for index, item in queue})
+            except BaseException as error:
+                finished.put(error)
 
-        others = [self._pool.submit(work) for _ in range(self.count - 1)]
-        done = work()
-        for other in others:
-            done.extend(other.result())
-        return [result for _, result in sorted(done, key=lambda pair: pair[0])]
+        # Two plain queues hand work over in a sixth of the time of an executor and its futures.
+        for _ in self._workers:
+            self._work.put(work)
+        work()
+        done: dict[int, Result] = {}
+        for part in [finished.get() for _ in range(self.count)]:
+            if isinstance(part, BaseException):
+                raise part
+            done.update(part)
+        return [done[index] for index in range(len(done))]
 
     def split(self, total: int) -> list[slice]:
         """0..total in one piece a thread, none of them empty."""
         ends = [total * k // self.count for k in range(self.count + 1)]
         return [slice(a, b) for a, b in pairwise(ends) if b > a]
+
+    def _serve(self) -> None:
+        # Every thread must be told: MKL keeps its count thread by thread, and its sums, to the last bit,
+        # depend on it.
+        torch.set_num_threads(1)
+        while (work := self._work.get()) is not None:
+            work()
 
 
 def map_in_threads(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:

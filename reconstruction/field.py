@@ -14,7 +14,7 @@ from scipy import ndimage
 from mapping.contramap import ContraMap
 from mapping.threads import map_in_threads
 
-BLOCK = 24
+BLOCK = 40
 """Nodes a side of the blocks that are evaluated at a time, as far as objects' windows reach into them."""
 COARSE = 4
 """The first pass looks at every 4th node."""

@@ -77,7 +77,7 @@ def test_sparse_features_agree_with_dense(data):
     dense = dense_features(*(torch.from_numpy(a) for a in (X, hinges, gamma)))[features.order]
     torch.testing.assert_close(features.times(W), dense @ W, atol=1e-4, rtol=0)
     R = torch.randn(len(X), 2, generator=torch.Generator().manual_seed(1))
-    torch.testing.assert_close(features.transpose_times(R), dense.T @ R, atol=1e-4, rtol=0)
+    torch.testing.assert_close(features.rows.transposed(len(hinges)).times(R), dense.T @ R, atol=1e-4, rtol=0)
 
 
 @pytest.mark.parametrize("dimensions", [2, 3])
