@@ -59,17 +59,22 @@ def sparse_factor(diagonal: torch.Tensor, hinges: np.ndarray, gamma: np.ndarray)
     rank = np.random.default_rng(0).permutation(count)  # a random order spreads the error evenly
     candidates = min(5 * NEIGHBOURS // 2, count)
     tree = cKDTree(hinges)
-    near = tree.query(hinges, candidates, workers=torch.get_num_threads())[1].reshape(count, candidates)
-    earlier = rank[near] < rank[:, None]
-    # The nearest NEIGHBOURS earlier rows, the row itself last; -1 pads.
-    order = np.argsort(~earlier, axis=1, kind="stable")[:, :NEIGHBOURS]
-    chosen = np.where(np.take_along_axis(earlier, order, 1), np.take_along_axis(near, order, 1), -1)
-    pattern = torch.from_numpy(np.column_stack([chosen, np.arange(count)])).to(diagonal.device)
-    index = pattern.clamp_min(0)
     places, width = (torch.from_numpy(a).to(diagonal.device) for a in (hinges, gamma))
+
+    def rows_of(part: slice) -> tuple[torch.Tensor, torch.Tensor]:
+        near = tree.query(hinges[part], candidates)[1].reshape(-1, candidates)
+        earlier = rank[near] < rank[part, None]
+        # The nearest NEIGHBOURS earlier rows, the row itself last; -1 pads.
+        order = np.argsort(~earlier, axis=1, kind="stable")[:, :NEIGHBOURS]
+        chosen = np.where(np.take_along_axis(earlier, order, 1), np.take_along_axis(near, order, 1), -1)
+        pattern = np.column_stack([chosen, np.arange(part.start, part.stop)])
+        pattern_t = torch.from_numpy(pattern).to(diagonal.device)
+        return pattern_t.clamp_min(0), _factor_rows(pattern_t, places, width)
+
     with Threads(diagonal.device) as threads:
-        rows = threads.map(lambda part: _factor_rows(pattern[part], places, width), threads.split(count))
-    values = torch.cat(rows) * diagonal.rsqrt()[index]
+        parts = zip(*threads.map(rows_of, threads.split(count)))
+    index, values = (torch.cat(part) for part in parts)
+    values = values * diagonal.rsqrt()[index]
     by_column = torch.sort(index.reshape(-1), stable=True)
     counts = torch.bincount(by_column.values, minlength=count)
     row_index = torch.div(by_column.indices, index.shape[1], rounding_mode="floor")

@@ -15,6 +15,10 @@ from mapping.preconditioner import SparseFactor
 from mapping.sparse_features import SparseFeatures, SparseRows
 from mapping.threads import Threads
 
+FIRST_STEP = 0.2
+"""Length of the first step tried: before anything is known of the curvature, the whole one overshoots by as
+many times as kernels overlap."""
+
 
 @dataclass(frozen=True)
 class FitConfig:
@@ -74,7 +78,7 @@ def _minimise(
         step_U = _inverse_hessian_times(gradient, history).neg_()
         slope = _dot(gradient, step_U)
         direction = coordinates.push(step_U)
-        length = 1.0
+        length = 1.0 if history else FIRST_STEP
         for trial in range(12):
             trial_W = torch.add(W, direction, alpha=length)
             trial_loss, slopes = objective.at(trial_W, length, direction if trial == 0 else None)
@@ -132,8 +136,8 @@ class _Objective:
     def at(
         self, W: torch.Tensor, length: float, direction: torch.Tensor | None = None
     ) -> tuple[float, torch.Tensor]:
-        """The objective at W and its derivative (H, C), W being `length` of the direction (H, C) away from the
-        last accepted place; None: the direction is the one asked for before."""
+        """The objective at W and its derivative (H, C), W being `length` times the direction (H, C) away from
+        the last accepted place; None: the direction is the one asked for before."""
 
         # One piece of work a thread: handing it over costs as much as a product with few samples.
         def part(share: _Share) -> tuple[float, torch.Tensor]:
