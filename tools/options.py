@@ -35,19 +35,24 @@ def pipeline_config(
         stored = {name: value for name, value in _read_json(config_file).items() if name != "preset"}
         config = override(config, stored)
     for setting in settings:
-        name, separator, value = setting.partition("=")
-        if not separator:
+        if "=" not in setting:
             raise ConfigError(f"--set wants section.field=value, got {setting!r}")
-        nested: Any = _value(value)
-        for part in reversed(name.split(".")):
-            nested = {part: nested}
-        config = override(config, nested)
+        config = override(config, nested_setting(setting))
     mesh = config.mesh
     if spacing is not None:
         mesh = replace(mesh, spacing=spacing)
     if max_uncertainty is not None:
         mesh = replace(mesh, max_uncertainty=max_uncertainty)
     return replace(config, mesh=mesh)
+
+
+def nested_setting(text: str) -> dict[str, Any]:
+    """{"section": {"field": value}} from `section.field=value`; numbers, true, false and null as such."""
+    name, _, value = text.partition("=")
+    nested: Any = _value(value)
+    for part in reversed(name.split(".")):
+        nested = {part: nested}
+    return nested
 
 
 def write_json(figures: dict[str, Any], path: Path | None) -> None:

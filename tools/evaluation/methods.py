@@ -6,11 +6,9 @@ observed object; probabilities are among these, whatever a method does with its 
 
 from __future__ import annotations
 
-import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 import torch
@@ -33,6 +31,7 @@ from reconstruction.meshing import MeshConfig
 from reconstruction.paper_samples import PaperSamples
 from reconstruction.scene import object_floor
 from reconstruction.training_set import TrainingSet
+from tools.options import nested_setting
 
 
 class FittedMap(ABC):
@@ -184,10 +183,12 @@ def fit_contramap(
     observation: Observation,
     space: Space,
     rng: np.random.Generator,
-    samples: dict[str, Any] | None = None,
+    settings: Sequence[str] = (),
 ) -> FittedMap:
-    """ContraMap as the preset `name` has it, but for some settings of its samples."""
-    config = override(preset(name, "cpu"), {"samples": samples or {}})
+    """ContraMap as the preset `name` has it, but for some settings `section.field=value`."""
+    config = preset(name, "cpu")
+    for setting in settings:
+        config = override(config, nested_setting(setting))
     training = config.samples.draw(observation, space, rng)
     model = ContraMap(config.map).fit(training.X, training.y, hinges=training.hinges, gamma=training.gamma)
     return FittedContraMap(model, training, config.mesh, object_floor(observation, config))
@@ -253,23 +254,16 @@ SEEDLESS = frozenset({"tsdf"})
 
 
 def method(name: str) -> Method:
-    """A method by name, or ContraMap with other samples: `contramap:prior=none,noise=near` (fields of
-    TabletopSamples). ConfigError lists the valid ones."""
-    base, _, settings = name.partition(":")
-    if settings and base == "contramap":
-        return partial(fit_contramap, "tabletop", samples=dict(map(_setting, settings.split(","))))
+    """A method by name, or ContraMap with other settings: `contramap:prior=none,map.l2=1e-5` (a name without
+    a dot is a field of TabletopSamples). ConfigError lists the valid ones."""
+    base, _, text = name.partition(":")
+    if text and base == "contramap":
+        of_samples = ["" if "." in part.partition("=")[0] else "samples." for part in text.split(",")]
+        settings = [section + part for section, part in zip(of_samples, text.split(","))]
+        return partial(fit_contramap, "tabletop", settings=settings)
     if name not in METHODS:
         raise ConfigError(f"unknown method {name!r}; valid methods: {', '.join(METHODS)}")
     return METHODS[name]
-
-
-def _setting(text: str) -> tuple[str, Any]:
-    """`field=value` with numbers and true/false as such."""
-    name, _, value = text.partition("=")
-    try:
-        return name, json.loads(value)
-    except ValueError:
-        return name, value
 
 
 def observed_samples(
