@@ -16,9 +16,9 @@ import torch
 from mapping.errors import ConfigError, DataError
 from mapping.kernels import PREDICT_CUTOFF, blocks, dense_features
 from mapping.lattice import LatticeEvaluator
-from mapping.preconditioner import SparseFactor, sparse_factor
+from mapping.preconditioner import sparse_factor
 from mapping.softmax import FitConfig, FitReport, fit_softmax
-from mapping.sparse_features import FIT_CUTOFF, SparseFeatures, sparse_features
+from mapping.sparse_features import FIT_CUTOFF, sparse_features
 
 REACHED = 0.05
 """A sample whose strongest feature is below this is out of the hinge points' reach."""
@@ -113,7 +113,7 @@ class ContraMap:
             targets,
             weights_t,
             self.offset,
-            self._coordinates(features, weights_t),
+            lambda diagonal: sparse_factor(diagonal, self.hinges, self.gamma),
             self.config.l2,
             self.config.fit,
         )
@@ -184,11 +184,6 @@ class ContraMap:
             others = np.exp(empty) + count - 2
             offset[-1] = float(np.log(share / (1 - share) * others))
         return offset
-
-    def _coordinates(self, features: SparseFeatures, weights: torch.Tensor) -> SparseFactor:
-        # p (1 - p) <= 1/4 for every class, so 1/4 sum w phi phi^T + l2 bounds each class's curvature.
-        curvature = 0.25 * features.squared_column_sums(weights) + self.config.l2
-        return sparse_factor(curvature, self.hinges, self.gamma)
 
     def _tensors(self, *arrays: np.ndarray) -> tuple[torch.Tensor, ...]:
         return tuple(torch.from_numpy(a).to(self.device) for a in arrays)

@@ -17,7 +17,8 @@ from typing_extensions import Self
 from mapping.errors import ConfigError, DataError
 from mapping.kernels import PREDICT_CUTOFF
 from mapping.lattice import LatticeEvaluator
-from mapping.sparse_features import FIT_CUTOFF, SparseFeatures, SparseRows, sparse_features
+from mapping.sparse_features import FIT_CUTOFF, SparseFeatures, sparse_features
+from mapping.sparse_rows import SparseRows
 
 
 @dataclass(frozen=True)

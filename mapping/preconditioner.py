@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from mapping.sparse_rows import SparseRows
 from mapping.threads import Threads
 
 NEIGHBOURS = 5
@@ -24,26 +25,19 @@ class SparseFactor:
 
     Each row of G solves a small dense system with its nearest earlier neighbours (Vecchia 1988; Kaporin
     1994), so building and applying it is linear in H, unlike a Cholesky factor of A.
-    columns, values: (H, m); row_index, row_value, starts: the transpose, sorted by column.
+    lower: G; upper: its transpose.
     """
 
-    columns: torch.Tensor
-    values: torch.Tensor
-    row_index: torch.Tensor
-    row_value: torch.Tensor
-    starts: torch.Tensor
+    lower: SparseRows
+    upper: SparseRows
 
     def pull(self, gradient: torch.Tensor) -> torch.Tensor:
         """G g: gradient by the weights (H, C) to gradient by the new coordinates (H, C)."""
-        return torch.nn.functional.embedding_bag(
-            self.columns, gradient, mode="sum", per_sample_weights=self.values
-        )
+        return self.lower.times(gradient)
 
     def push(self, step: torch.Tensor) -> torch.Tensor:
         """G^T u: a step in the new coordinates (H, C) to a step in the weights (H, C)."""
-        return torch.nn.functional.embedding_bag(
-            self.row_index, step, self.starts, mode="sum", per_sample_weights=self.row_value
-        )
+        return self.upper.times(step)
 
 
 def sparse_factor(diagonal: torch.Tensor, hinges: np.ndarray, gamma: np.ndarray) -> SparseFactor:
@@ -75,16 +69,9 @@ def sparse_factor(diagonal: torch.Tensor, hinges: np.ndarray, gamma: np.ndarray)
         parts = zip(*threads.map(rows_of, threads.split(count)))
     index, values = (torch.cat(part) for part in parts)
     values = values * diagonal.rsqrt()[index]
-    by_column = torch.sort(index.reshape(-1), stable=True)
-    counts = torch.bincount(by_column.values, minlength=count)
-    row_index = torch.div(by_column.indices, index.shape[1], rounding_mode="floor")
-    return SparseFactor(
-        columns=index.int(),
-        values=values,
-        row_index=row_index.int(),
-        row_value=values.reshape(-1)[by_column.indices],
-        starts=(counts.cumsum(0) - counts).int(),
-    )
+    offsets = torch.arange(0, index.numel(), index.shape[1], dtype=torch.int32, device=diagonal.device)
+    lower = SparseRows(offsets, index.reshape(-1).int(), values.reshape(-1))
+    return SparseFactor(lower, lower.transposed(count))
 
 
 def _factor_rows(pattern: torch.Tensor, places: torch.Tensor, gamma: torch.Tensor) -> torch.Tensor:

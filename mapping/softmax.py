@@ -6,18 +6,24 @@ Knows features, targets and weights; knows nothing of points, kernels or what a 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import isfinite
 
 import torch
 
 from mapping.preconditioner import SparseFactor
-from mapping.sparse_features import SparseFeatures, SparseRows
+from mapping.sparse_features import SparseFeatures
+from mapping.sparse_rows import SparseRows
 from mapping.threads import Threads
 
 FIRST_STEP = 0.2
 """Length of the first step tried: before anything is known of the curvature, the whole one overshoots by as
 many times as kernels overlap."""
+
+ROW_COST = 12
+"""What a sample's share in the loss takes of the time, in features of its row: far from objects rows are
+short, and threads that had as many features each would not end at once."""
 
 
 @dataclass(frozen=True)
@@ -46,14 +52,15 @@ def fit_softmax(
     targets: torch.Tensor,
     sample_weights: torch.Tensor,
     offset: torch.Tensor,
-    coordinates: SparseFactor,
+    whiten: Callable[[torch.Tensor], SparseFactor],
     l2: float,
     config: FitConfig,
 ) -> tuple[torch.Tensor, FitReport]:
     """Minimise sum_i w_i CE(softmax(W^T phi_i + offset), t_i) + l2/2 ||W||^2.
 
     targets: (N,) int64 classes or (N, C) float32 distributions, rows as in `features`.
-    sample_weights: (N,) that sum to 1; offset: (C,) fixed. Returns W (H, C) and the report.
+    sample_weights: (N,) that sum to 1; offset: (C,) fixed; whiten: from the diagonal (H,) of a bound on each
+    class's Hessian, a factor for that bound. Returns W (H, C) and the report.
 
     Neighbouring kernels overlap, so the loss is badly conditioned in W. The fit runs in coordinates U with
     W = G^T U, where G whitens a bound on the Hessian (Böhning 1992): there L-BFGS needs a third of the
@@ -61,6 +68,7 @@ def fit_softmax(
     """
     with Threads(offset.device) as threads:
         objective = _Objective(features, targets, sample_weights, offset, l2, threads)
+        coordinates = whiten(objective.curvature())
         return _minimise(objective, coordinates, config)
 
 
@@ -124,7 +132,7 @@ class _Objective:
         targets = targets * weights[:, None]
         self.shape = features.hinge_count, len(offset)
         self.l2, self.threads = l2, threads
-        parts = features.rows.split(threads.count)
+        parts = features.rows.split(threads.count, ROW_COST)
         sizes = [len(part.offsets) for part in parts]
         pieces = zip(parts, weights.split(sizes), targets.split(sizes))
         self.shares = threads.map(lambda piece: _Share(*piece, offset, self.shape[0]), pieces)
@@ -132,6 +140,13 @@ class _Objective:
     def start(self) -> torch.Tensor:
         """W = 0, where the logits are the offset."""
         return self.shares[0].logits.new_zeros(self.shape)
+
+    def curvature(self) -> torch.Tensor:
+        """The diagonal (H,) of a bound on the Hessian: p (1 - p) is at most 1/4 for every class."""
+        squares = self.threads.map(
+            lambda share: share.columns.squared().times(share.weights[:, None]), self.shares
+        )
+        return 0.25 * torch.stack(squares).sum(0)[:, 0] + self.l2
 
     def at(
         self, W: torch.Tensor, length: float, direction: torch.Tensor | None = None
@@ -170,7 +185,7 @@ class _Share:
         hinge_count: int,
     ):
         self.rows, self.columns = rows, rows.transposed(hinge_count)
-        self.weights, self.weighted_targets = weights, weighted_targets
+        self.weights, self.minus_targets = weights, -weighted_targets
         self.logits = offset.repeat(len(weights), 1)
         self.along = torch.zeros_like(self.logits)
         self.trial, self.residual = torch.empty_like(self.logits), torch.empty_like(self.logits)
@@ -183,7 +198,7 @@ class _Share:
             # Beyond 88 float32 overflows; rare, so the rows' maxima are only taken when it happens.
             self.trial.sub_(self.trial.amax(1, keepdim=True))
             loss, scale = self._exponentials(self.trial)
-        return loss, self.residual.mul_(scale[:, None]).sub_(self.weighted_targets)
+        return loss, torch.addcmul(self.minus_targets, self.residual, scale[:, None], out=self.residual)
 
     def _exponentials(self, logits: torch.Tensor) -> tuple[float, torch.Tensor]:
         """Fills `residual` with exponentials; the loss, and the factor (n,) that turns them into weighted
@@ -191,7 +206,7 @@ class _Share:
         p = torch.exp(logits, out=self.residual)
         total = p @ p.new_ones(p.shape[1])  # twice as fast as a sum over short rows
         loss = torch.dot(self.weights, total.log())
-        loss -= torch.dot(self.weighted_targets.view(-1), logits.view(-1))
+        loss += torch.dot(self.minus_targets.view(-1), logits.view(-1))
         return float(loss), self.weights / total
 
 

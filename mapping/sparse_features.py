@@ -6,13 +6,13 @@ Knows points, hinge points and widths; knows nothing of classes, weights' meanin
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import torch
 
 from mapping.hinge_cells import HingeCells, hinge_cells
 from mapping.kernels import blocks, dense_features, reach
+from mapping.sparse_rows import SparseRows
 from mapping.threads import map_in_threads
 
 FIT_CUTOFF = 3e-3
@@ -24,45 +24,6 @@ LOCAL = 0.5
 
 RowsOfPart = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
 """Rows of some points: their indices (n,) and lengths (n,); the rows' columns and values (nnz,)."""
-
-
-@dataclass(frozen=True)
-class SparseRows:
-    """Rows of a sparse matrix. offsets: (rows,) start of each; columns: (nnz,); values: (nnz,) float32."""
-
-    offsets: torch.Tensor
-    columns: torch.Tensor
-    values: torch.Tensor
-
-    def times(self, table: torch.Tensor) -> torch.Tensor:
-        """This matrix times a dense table (columns, C): (rows, C)."""
-        # embedding_bag is the fastest sparse-times-dense product of torch on a CPU and runs on CUDA as well.
-        return torch.nn.functional.embedding_bag(
-            self.columns, table, self.offsets, mode="sum", per_sample_weights=self.values
-        )
-
-    def transposed(self, count: int) -> SparseRows:
-        """The transpose, a row for each of `count` columns."""
-        from scipy import sparse  # here, since it would add to the cost of importing the map
-
-        ends = np.append(self.offsets.cpu().numpy(), np.int32(len(self.values)))
-        parts = self.values.cpu().numpy(), self.columns.cpu().numpy(), ends
-        turned = sparse.csr_matrix(parts, (len(self.offsets), count)).tocsc()
-        arrays = turned.indptr[:-1].astype(np.int32), turned.indices.astype(np.int32), turned.data
-        return SparseRows(*(torch.from_numpy(a).to(self.values.device) for a in arrays))
-
-    def split(self, count: int) -> list[SparseRows]:
-        """Consecutive parts with about as many values each: rows near objects are much longer than others."""
-        wanted = torch.arange(1, count) * (len(self.values) // count)
-        cuts = torch.searchsorted(self.offsets, wanted.to(self.offsets)).tolist()
-        ends = [0, *cuts, len(self.offsets)]
-        return [self.part(slice(a, b)) for a, b in pairwise(ends) if b > a]
-
-    def part(self, rows: slice) -> SparseRows:
-        """Some consecutive rows, without a copy of their values."""
-        last = int(self.offsets[rows.stop]) if rows.stop < len(self.offsets) else len(self.columns)
-        first = int(self.offsets[rows.start]) if rows.start < len(self.offsets) else last
-        return SparseRows(self.offsets[rows] - first, self.columns[first:last], self.values[first:last])
 
 
 @dataclass(frozen=True)
@@ -81,13 +42,6 @@ class SparseFeatures:
     def times(self, W: torch.Tensor) -> torch.Tensor:
         """Phi W: (H, C) -> (N, C)."""
         return self.rows.times(W)
-
-    def squared_column_sums(self, row_weights: torch.Tensor) -> torch.Tensor:
-        """sum_i w_i phi_ih^2 for each hinge: (N,) -> (H,)."""
-        ends = torch.cat([self.rows.offsets, self.rows.offsets.new_tensor([len(self.rows.values)])])
-        of_values = row_weights.repeat_interleave(ends.diff())
-        sums = row_weights.new_zeros(self.hinge_count)
-        return sums.index_add_(0, self.rows.columns, of_values.mul_(self.rows.values.square()))
 
 
 def sparse_features(
