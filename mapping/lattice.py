@@ -109,7 +109,7 @@ class _HingeLattice:
             if key not in known:
                 nodes, places = axes[i][part], self.places[i]
                 first, last = np.searchsorted(places, [nodes[0] - radius, nodes[-1] + radius])
-                table = _table(nodes, places[first:last], self.gamma).to(self.weights)
+                table = kernel_table(nodes, places[first:last], self.gamma).to(self.weights)
                 known[key] = int(first), table
             return known[key]
 
@@ -158,7 +158,7 @@ class _ScatteredHinges:
         if len(near) == 0:
             return None
         weights = self.weights[torch.from_numpy(near).to(self.weights.device)]
-        tables = [_table(a, self.hinges[near, i], self.gamma).to(weights) for i, a in enumerate(axes)]
+        tables = [kernel_table(a, self.hinges[near, i], self.gamma).to(weights) for i, a in enumerate(axes)]
         # All axes but the last against the last one: a single matrix product.
         left = tables[0]
         for table in tables[1:-1]:
@@ -181,7 +181,7 @@ def _group(hinges: np.ndarray, gamma: float, weights: torch.Tensor) -> _HingeLat
     return _HingeLattice(places, gamma, tensor.reshape(-1, *size))
 
 
-def _table(nodes: np.ndarray, places: np.ndarray, gamma: float) -> torch.Tensor:
+def kernel_table(nodes: np.ndarray, places: np.ndarray, gamma: float) -> torch.Tensor:
     """(n, m) kernel values along one axis."""
     values = np.exp(-gamma * (nodes[:, None] - places) ** 2).astype(np.float32)
     values[values < NEGLIGIBLE] = 0
