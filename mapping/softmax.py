@@ -21,7 +21,7 @@ FIRST_STEP = 0.2
 """Length of the first step tried: before anything is known of the curvature, the whole one overshoots by as
 many times as kernels overlap."""
 
-ROW_COST = 12
+ROW_COST = 8
 """What a sample's share in the loss takes of the time, in features of its row: far from objects rows are
 short, and threads that had as many features each would not end at once."""
 
