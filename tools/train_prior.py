@@ -27,17 +27,17 @@ from tools.prior_data import Examples, make_examples
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """How the prior is trained. The defaults take about 35 minutes on two cores."""
+    """How the prior is trained. The defaults take about 40 minutes on two cores."""
 
     out: Path = WEIGHTS_FILE
     """Where the weights go; a .json with the recipe and scores is written beside them."""
     seed: int = 0
     """Same seed, same data and, on one machine and thread count, same weights."""
-    scenes: int = 3600
+    scenes: int = 5400
     """Training scenes, of about five objects each."""
     test_scenes: int = 60
     """Scenes of held-out families, and as many of known families."""
-    epochs: int = 6
+    epochs: int = 5
     """Passes over the training objects."""
     batch: int = 16
     """Objects a step."""
