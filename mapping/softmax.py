@@ -64,7 +64,7 @@ def fit_softmax(
 
     Neighbouring kernels overlap, so the loss is badly conditioned in W. The fit runs in coordinates U with
     W = G^T U, where G whitens a bound on the Hessian (Böhning 1992): there L-BFGS needs a third of the
-    steps. Logits are linear in W, so trying a step length costs an exponential a sample and no product.
+    steps. Logits are linear in W, so another length along one direction needs no new logits' product.
     """
     with Threads(offset.device) as threads:
         objective = _Objective(features, targets, sample_weights, offset, l2, threads)

@@ -56,6 +56,17 @@ def test_point_dense_and_lattice_evaluation_agree(fitted):
     np.testing.assert_allclose(at_points, fitted.predict_lattice(axes).reshape(-1, CLASSES), atol=1e-4)
 
 
+def test_logits_beyond_the_range_of_exponentials_are_fitted_all_the_same(data):
+    X, y, hinges = data
+    config = MapConfig(gamma=300.0, far_uncertainty=None, empty_log_odds=120.0)  # exp(120) is no float32
+    fitted = ContraMap(config).fit(X, y, hinges=hinges)
+    offset = fitted.offset.double()
+    start = float((torch.logsumexp(offset, 0) - offset)[torch.from_numpy(y)].mean())
+    assert fitted.report.losses[0] == pytest.approx(start, rel=1e-5)
+    assert np.isfinite(fitted.report.losses).all()
+    assert fitted.report.losses[-1] < start / 4
+
+
 def test_a_lattice_larger_than_a_block_agrees_with_points():
     rng = np.random.default_rng(0)
     hinges = np.stack(np.meshgrid(np.arange(20.0), np.arange(9.0), indexing="ij"), -1).reshape(-1, 2)
