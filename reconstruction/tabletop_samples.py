@@ -54,6 +54,13 @@ class TabletopSamples:
     """Kernel width of the finest hinge points [1/m^2]."""
     finest_distance: float = 0.0
     """Finest hinge points lie within this distance of a seen object surface [m]; negative: none."""
+    thin_spacing: float = 0.00625
+    """Spacing of the hinge lattice on thin walls and thin things [m]; 0: none."""
+    thin_gamma: float = 32000.0
+    """Kernel width of the hinge points there [1/m^2]."""
+    thin: float = 0.5
+    """A wall is thin where the chance that it reaches down to `wall_depth` is below this, or where the
+    support plane comes first."""
     surface_voxel: float = 0.007
     """Voxel that keeps one surface pair of an object [m]."""
     pair_offset: float = 0.0025
@@ -110,6 +117,7 @@ class TabletopSamples:
             below = self._below(observation, low, high, rng)
             foot = self._feet(observation, space, low, high, rng)
         before, inside, wall, owner = self._surface_samples(observation, space, rng)
+        flat = np.zeros(len(wall), bool)
         if supported:
             # Nothing reaches into the table; what lies flat on it is filled down to it.
             flat = wall[:, 2] < FOOT_CLEARANCE
@@ -121,7 +129,9 @@ class TabletopSamples:
         ends = np.cumsum([len(inside), len(wall), len(foot)])
         at_inside, at_wall, at_foot, at_hidden = np.split(structure, ends)
         rows, count = np.arange(len(owner)), structure.shape[1]
-        hinges, gamma = self._hinges(seen, foot, np.concatenate([free, hidden]))
+        fill = at_wall[rows, owner]
+        thin = (fill < self.thin) | flat
+        hinges, gamma = self._hinges(seen, foot, inside[thin], np.concatenate([free, hidden]))
         # The thin shell is a rule of thumb: nothing it says of hidden space is beyond doubt.
         least = None if self.prior == "learned" else self.labels.most_uncertain / 2
         guessed = self.labels.hidden(at_hidden, least)
@@ -135,7 +145,7 @@ class TabletopSamples:
         ]
         if self.pairs:
             soft.append((before, self.labels.pair(owner * 0, np.zeros(len(owner)), count)))
-            soft.append((wall, self.labels.wall(owner, 1 - at_wall[rows, owner], count)))
+            soft.append((wall, self.labels.wall(owner, 1 - fill, count)))
         points, labels = map(np.concatenate, zip(*soft))
         return assemble([np.concatenate([empty, below])], points, labels, hinges, gamma)
 
@@ -212,10 +222,10 @@ class TabletopSamples:
         return np.concatenate([points, deeper])
 
     def _hinges(
-        self, seen: np.ndarray, foot: np.ndarray, covered: np.ndarray
+        self, seen: np.ndarray, foot: np.ndarray, thin: np.ndarray, covered: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Hinge points (H, 3) and widths (H,): coarse over the covered space, finer near what is seen, finest
-        on it."""
+        on thin walls."""
         lattices = [
             (lattice_near_points(covered, 0.0, self.coarse_spacing), self.coarse_gamma),
             (lattice_near_points(seen, self.fine_distance, self.fine_spacing), self.fine_gamma),
@@ -224,6 +234,9 @@ class TabletopSamples:
             ground = np.concatenate([seen, foot])
             finest = lattice_near_points(ground, self.finest_distance, self.finest_spacing)
             lattices.append((finest, self.finest_gamma))
+        if self.thin_spacing > 0 and len(thin):
+            on_walls = lattice_near_points(thin, 0.0, self.thin_spacing)
+            lattices.append((on_walls, self.thin_gamma))
         points, widths = zip(*lattices)
         return np.concatenate(points), np.repeat(widths, [len(p) for p in points])
 
