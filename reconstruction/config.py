@@ -28,7 +28,7 @@ class PipelineConfig:
         # Stops a little before the optimum, and drops features below a hundredth: half the work, and meshes
         # that are hardly worse.
         default_factory=lambda: MapConfig(
-            empty_log_odds=2.0, fit_cutoff=1e-2, fit=FitConfig(tolerance=5e-4, memory=4)
+            empty_log_odds=2.0, fit_cutoff=1e-2, fit=FitConfig(tolerance=6e-4, memory=4)
         )
     )
     """The kernel softmax map and its fit."""

@@ -71,8 +71,17 @@ def test_variants_are_methods() -> None:
 def test_unknown_settings_are_refused(case: Case) -> None:
     with pytest.raises(ConfigError, match="valid fields"):
         method("contramap:magic=1")(case.observation, case.space, np.random.default_rng(0))
+    with pytest.raises(ConfigError, match="valid fields"):
+        method("contramap:map.magic=1")(case.observation, case.space, np.random.default_rng(0))
     with pytest.raises(ConfigError, match="valid methods"):
         method("hilbert:noise=near")
+
+
+def test_a_method_may_carry_settings_of_any_section(case: Case) -> None:
+    fitted = method("contramap:prior=none,map.fit.max_iterations=2")(
+        case.observation, case.space, np.random.default_rng(0)
+    )
+    assert fitted.model.report.iterations == 2
 
 
 @pytest.mark.slow
