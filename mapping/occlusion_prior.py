@@ -69,7 +69,7 @@ class OcclusionPrior:
 
         def encode(part: slice) -> torch.Tensor:
             with torch.inference_mode():
-                return self.network.encode_both(torch.from_numpy(lattices[part]))
+                return self.network.encode(torch.from_numpy(lattices[part]))
 
         def decode(index: int) -> None:
             box = boxes[index]
@@ -82,7 +82,7 @@ class OcclusionPrior:
             plan = Footprint.of(box, visible[index]).at(box, local)
             known = point_channels(local, evidence(points[rows], index), box.scalars()[:, None], *plan)
             with torch.inference_mode():
-                odds = self.network.decode_both(
+                odds = self.network.decode(
                     features[index : index + 1],
                     torch.from_numpy(local)[None],
                     torch.from_numpy(known).T[None],

@@ -30,8 +30,6 @@ OWN, BACKGROUND, OTHER, UNKNOWN = 0, 1, 2, 3
 """What the ray through a point sees: the object itself, no object, another object, nothing measured."""
 
 RAY_CHANNELS = 18
-ACROSS_CHANNEL = 9
-"""The channel that changes its sign when left and right are exchanged: where a point lies across the view."""
 LATTICE_CHANNELS = RAY_CHANNELS + 1
 
 

@@ -8,7 +8,7 @@ from torch import nn
 from torch.nn import functional as F
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from mapping.prior_features import ACROSS_CHANNEL, LATTICE_CHANNELS, RAY_CHANNELS
+from mapping.prior_features import LATTICE_CHANNELS, RAY_CHANNELS
 from mapping.prior_footprint import FOOTPRINT_CHANNELS
 from mapping.trilinear import corners
 
@@ -72,24 +72,17 @@ class PriorNetwork(nn.Module):
 
     def decode(self, features: torch.Tensor, local: torch.Tensor, channels: torch.Tensor) -> torch.Tensor:
         """Log odds (B, Q) at points (B, Q, 3) in box coordinates with channels (B, Q, POINT_CHANNELS)."""
-        return self._decoded(_at(features, local), channels)
-
-    def encode_both(self, lattice: torch.Tensor) -> torch.Tensor:
-        """Features (B, 2 F, 12, 12, 8) of lattices and, after them, of their mirror images."""
-        mirrored = lattice.flip(3)
-        mirrored[:, ACROSS_CHANNEL].neg_()
-        return torch.cat([self.encode(lattice), self.encode(mirrored).flip(3)], dim=1)
-
-    def decode_both(
-        self, features: torch.Tensor, local: torch.Tensor, channels: torch.Tensor
-    ) -> torch.Tensor:
-        """Mean log odds (B, Q) of the scene and of its mirror image, of which nothing says which is which."""
-        near, of_mirrored = _at(features, local).chunk(2, dim=-1)
-        mirrored = channels.clone()
-        mirrored[..., ACROSS_CHANNEL].neg_()
-        return (self._decoded(near, channels) + self._decoded(of_mirrored, mirrored)) / 2
-
-    def _decoded(self, near: torch.Tensor, channels: torch.Tensor) -> torch.Tensor:
+        objects, count, *shape = features.shape
+        index, weight = corners(local.reshape(-1, 3).T.numpy(), shape)
+        if objects > 1:
+            first = np.arange(objects, dtype=np.int32) * np.int32(np.prod(shape))
+            index += first.repeat(local.shape[1])
+        near = F.embedding_bag(
+            torch.from_numpy(np.ascontiguousarray(index.T)),
+            features.permute(0, 2, 3, 4, 1).reshape(-1, count),
+            per_sample_weights=torch.from_numpy(np.ascontiguousarray(weight.T)),
+            mode="sum",
+        ).reshape(objects, -1, count)
         return self.decoder(torch.cat([near, channels], dim=-1))[..., 0]  # (B, Q, F + P) to (B, Q)
 
     def plain(self) -> PriorNetwork:
@@ -100,18 +93,3 @@ class PriorNetwork(nn.Module):
                 module = fuse_conv_bn_eval(*module.eval())
             network.get_submodule(name).load_state_dict(module.state_dict())
         return network.eval()
-
-
-def _at(features: torch.Tensor, local: torch.Tensor) -> torch.Tensor:
-    """Features (B, Q, F) at points (B, Q, 3) in box coordinates, between the cells of (B, F, x, y, z)."""
-    objects, count, *shape = features.shape
-    index, weight = corners(local.reshape(-1, 3).T.numpy(), shape)
-    if objects > 1:
-        first = np.arange(objects, dtype=np.int32) * np.int32(np.prod(shape))
-        index += first.repeat(local.shape[1])
-    return F.embedding_bag(
-        torch.from_numpy(np.ascontiguousarray(index.T)),
-        features.permute(0, 2, 3, 4, 1).reshape(-1, count),
-        per_sample_weights=torch.from_numpy(np.ascontiguousarray(weight.T)),
-        mode="sum",
-    ).reshape(objects, -1, count)

@@ -59,22 +59,6 @@ def test_turning_the_table_changes_nothing(scene):
     assert np.quantile(change, 0.95) < 0.1
 
 
-def test_mirrored_scene_has_the_mirrored_answer(scene):
-    observation, space, visible, points = scene
-    prior, lookup = OcclusionPrior.load(), RayLookup(observation, space)
-    mirror = np.array([1, -1, 1], np.float32)
-    mirrored = prior.distribution(
-        [item * mirror for item in visible],
-        space.origin * mirror,
-        lambda there, index: lookup(there * mirror, index),
-        points * mirror,
-    )
-    change = np.abs(mirrored - prior.distribution(visible, space.origin, lookup, points)).max(axis=1)
-    # As above, and points on the border of two cells of the plan view change sides.
-    assert np.median(change) < 1e-3
-    assert np.quantile(change, 0.95) < 0.1
-
-
 def test_order_of_objects_permutes_columns(scene):
     observation, space, visible, points = scene
     prior, lookup = OcclusionPrior.load(), RayLookup(observation, space)

@@ -18,11 +18,13 @@ import torch
 from torch.nn import functional as F
 
 from mapping.occlusion_prior import WEIGHTS_FILE, OcclusionPrior, save_weights
-from mapping.prior_features import ACROSS_CHANNEL
 from mapping.prior_network import PriorNetwork
 from sim_scenes.random_urdfs import draw_figure, figures_folder
 from sim_scenes.training_shapes import HELD_OUT_FAMILIES, TRAINING_FAMILIES, draw_shape
 from tools.prior_data import Examples, make_examples
+
+Y_CHANNEL = 9
+"""The channel that changes its sign when left and right are exchanged."""
 
 
 @dataclass(frozen=True)
@@ -179,9 +181,9 @@ def _mirrored(
     """Half of the objects with left and right exchanged: nothing in the world tells them apart."""
     chosen = rng.random(len(lattices)) < 0.5
     lattices[chosen] = lattices[chosen][:, :, :, ::-1]
-    lattices[chosen, ACROSS_CHANNEL] *= -1
+    lattices[chosen, Y_CHANNEL] *= -1
     local[chosen, :, 1] *= -1
-    points[chosen, :, ACROSS_CHANNEL] *= -1
+    points[chosen, :, Y_CHANNEL] *= -1
     return [torch.from_numpy(part) for part in (lattices, local, points, truth)]
 
 
