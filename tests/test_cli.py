@@ -282,3 +282,12 @@ def test_a_missing_library_is_one_line_with_the_mend(monkeypatch, capsys, messag
     line = fails(capsys, "map")
     assert message in line
     assert advice in line
+
+
+@pytest.mark.parametrize("command", [["tools.real_frames", "--data"], ["tools.ablation", "--out", "unused"]])
+def test_modules_that_are_commands_say_what_is_wrong_in_one_line(command, tmp_path):
+    run = [sys.executable, "-m", *command, str(tmp_path / "nowhere")]
+    done = subprocess.run(run, cwd=Path(__file__).parents[1], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "nowhere" in done.stderr
+    assert "Traceback" not in done.stderr

@@ -5,11 +5,13 @@ Runs through the evaluation's engine: results are kept scene by scene below DIR/
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
+from tools.exit_code import exit_code
 from tools.options import write_json
 
 DEFAULT = "contramap"
@@ -122,4 +124,4 @@ def _cells(entry: dict[str, Any]) -> list[str]:
 
 
 if __name__ == "__main__":
-    tyro.cli(ablation)
+    sys.exit(exit_code("ablation", lambda: tyro.cli(ablation)))

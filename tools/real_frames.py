@@ -7,6 +7,7 @@ result folder for each, and prints size, IoU and Chamfer distance beside the tru
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ import numpy as np
 
 from mapping.errors import DataError
 from perception.frame import Frame
+from tools.exit_code import exit_code
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -177,4 +179,4 @@ def main(options: Options) -> None:
 if __name__ == "__main__":
     import tyro
 
-    main(tyro.cli(Options))
+    sys.exit(exit_code("real_frames", lambda: main(tyro.cli(Options))))

@@ -7,6 +7,7 @@ them: command, data recipe, versions and held-out scores. No scan of a real obje
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -21,6 +22,7 @@ from mapping.occlusion_prior import WEIGHTS_FILE, OcclusionPrior, save_weights
 from mapping.prior_network import PriorNetwork
 from sim_scenes.random_urdfs import draw_figure, figures_folder
 from sim_scenes.training_shapes import HELD_OUT_FAMILIES, TRAINING_FAMILIES, draw_shape
+from tools.exit_code import exit_code
 from tools.prior_data import Examples, make_examples
 
 Y_CHANNEL = 9
@@ -205,4 +207,4 @@ def _chunks(count: int, size: int) -> Iterator[np.ndarray]:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code("train_prior", main))

@@ -1,0 +1,42 @@
+"""What goes wrong in a command as one line on stderr and an exit code, never a traceback."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+from mapping.errors import ContraMapError
+
+EXTRAS = {"pooch": "sim", "rerun": "viz", "matplotlib": "viz", "ray": "cluster"}
+"""Package -> the extra that brings it."""
+
+
+def exit_code(name: str, run: Callable[[], object]) -> int:
+    """Run a command: 0, 2 after bad input or a missing file or package, 130 when interrupted."""
+    try:
+        run()
+    except ContraMapError as error:
+        print(f"{name}: error: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except (ImportError, OSError) as error:
+        if isinstance(error, BrokenPipeError):
+            # The reader of our output (head, less) has gone; nothing is wrong.
+            sys.stderr.close()
+            return 0
+        print(f"{name}: error: {' '.join(str(error).split())}{_advice(error)}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"{name}: interrupted", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _advice(error: Exception) -> str:
+    """How to mend a missing library or package; empty for other errors."""
+    text = str(error)
+    if any(library in text for library in ("libusb", "libGL", "libgomp")):
+        return "; open3d needs system libraries: sudo apt-get install -y libusb-1.0-0 libgl1 libgomp1"
+    package = error.name.split(".")[0] if isinstance(error, ImportError) and error.name else None
+    if package == "pybullet":
+        return "; pybullet has wheels for Python 3.10 and 3.11: pip install 'contramap[sim]'"
+    return f"; pip install 'contramap[{EXTRAS[package]}]'" if package in EXTRAS else ""
