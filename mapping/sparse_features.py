@@ -31,7 +31,7 @@ class SparseFeatures:
     """Truncated features of N points.
 
     order: (N,) the row's index in the caller's array (rows are sorted by block for locality); strongest:
-    (N,) largest feature of each row.
+    (N,) largest feature of each row; hinge_count: columns, one a hinge point.
     """
 
     order: torch.Tensor

@@ -258,8 +258,8 @@ def method(name: str) -> Method:
     a dot is a field of TabletopSamples). ConfigError lists the valid ones."""
     base, _, text = name.partition(":")
     if text and base == "contramap":
-        of_samples = ["" if "." in part.partition("=")[0] else "samples." for part in text.split(",")]
-        settings = [section + part for section, part in zip(of_samples, text.split(","))]
+        parts = text.split(",")
+        settings = [part if "." in part.partition("=")[0] else f"samples.{part}" for part in parts]
         return partial(fit_contramap, "tabletop", settings=settings)
     if name not in METHODS:
         raise ConfigError(f"unknown method {name!r}; valid methods: {', '.join(METHODS)}")
