@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from reconstruction.config import PipelineConfig, preset
+    from reconstruction.files.result_folder import load_result, save_reconstruction
     from reconstruction.result import Reconstruction
-    from reconstruction.result_folder import load_result, save_reconstruction
     from reconstruction.scene import reconstruct
 
 _HOME = {
     "PipelineConfig": "reconstruction.config",
     "Reconstruction": "reconstruction.result",
-    "load_result": "reconstruction.result_folder",
+    "load_result": "reconstruction.files.result_folder",
     "preset": "reconstruction.config",
     "reconstruct": "reconstruction.scene",
-    "save_reconstruction": "reconstruction.result_folder",
+    "save_reconstruction": "reconstruction.files.result_folder",
 }
 
 __all__ = ["PipelineConfig", "Reconstruction", "load_result", "preset", "reconstruct", "save_reconstruction"]

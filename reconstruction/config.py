@@ -9,9 +9,9 @@ from mapping.contramap import MapConfig
 from mapping.errors import ConfigError
 from mapping.softmax import FitConfig
 from perception.config import PerceptionConfig
-from reconstruction.meshing import MeshConfig
-from reconstruction.paper_samples import PaperSamples
-from reconstruction.tabletop_samples import TabletopSamples
+from reconstruction.samples.paper import PaperSamples
+from reconstruction.samples.tabletop import TabletopSamples
+from reconstruction.surface.meshing import MeshConfig
 
 PRIORS = ("learned", "none")
 

@@ -16,9 +16,9 @@ from perception.observation import Observation, ObservedObject, Skipped
 from perception.observe import observe
 from perception.space import Space
 from reconstruction.config import PipelineConfig
-from reconstruction.field import Field, evaluate_field, overlap, window_of, within
-from reconstruction.meshing import extract_mesh
 from reconstruction.result import ObjectField, ReconstructedObject, Reconstruction
+from reconstruction.surface.field import Field, evaluate_field, overlap, window_of, within
+from reconstruction.surface.meshing import extract_mesh
 
 
 def reconstruct(frame: Frame, config: PipelineConfig | None = None, seed: int = 0) -> Reconstruction:

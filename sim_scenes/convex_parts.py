@@ -20,8 +20,8 @@ import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull, QhullError
 
-from sim_scenes.cache import cache_dir
-from sim_scenes.object_model import ObjectModel
+from sim_scenes.objects.cache import cache_dir
+from sim_scenes.objects.object_model import ObjectModel
 
 
 @dataclass(frozen=True)

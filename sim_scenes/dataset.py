@@ -16,9 +16,9 @@ from mapping.errors import ConfigError, DataError
 from perception.camera import Camera
 from perception.frame import Frame
 from perception.frame_io import save_frame
-from sim_scenes import builtin_objects, random_urdfs, ycb
 from sim_scenes.convex_parts import build_all
-from sim_scenes.object_model import ObjectModel
+from sim_scenes.objects import builtin, random_urdfs, ycb
+from sim_scenes.objects.object_model import ObjectModel
 from sim_scenes.render import Renderer, random_cameras
 from sim_scenes.sensor_noise import noisy_depth, noisy_labels
 from sim_scenes.surroundings import Surroundings
@@ -61,7 +61,7 @@ def object_source(objects: str = "auto", ycb_dir: str | Path | None = None) -> O
             "`contramap fetch ycb`, or use --objects builtin"
         )
     if folder is None:
-        return ObjectSource("builtin", builtin_objects.draw)
+        return ObjectSource("builtin", builtin.draw)
     names = ycb.list_models(folder)
 
     def draw(count: int, rng: np.random.Generator) -> list[ObjectModel]:

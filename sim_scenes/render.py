@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from perception.camera import Camera
-from sim_scenes.object_model import ObjectModel
+from sim_scenes.objects.object_model import ObjectModel
 from sim_scenes.shading import Surface, cast_shadows, shade
 from sim_scenes.surroundings import Surroundings
 from sim_scenes.tabletop import PlacedObject

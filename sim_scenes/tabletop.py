@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from mapping.errors import ContraMapError
 from sim_scenes.convex_parts import collision_file, write_parts
-from sim_scenes.object_model import ObjectModel
+from sim_scenes.objects.object_model import ObjectModel
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ import numpy as np
 import trimesh
 
 from mapping.errors import DataError
-from sim_scenes.object_model import load_model
-from sim_scenes.ycb import find_ycb
+from sim_scenes.objects.object_model import load_model
+from sim_scenes.objects.ycb import find_ycb
 
 TRUTH_FILE = "truth.json"
 

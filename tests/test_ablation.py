@@ -11,8 +11,8 @@ from benchmark_scenes import write_scenes
 
 from mapping.errors import ConfigError
 from perception.space import Region
-from reconstruction.tabletop_samples import TabletopSamples
-from reconstruction.training_set import TrainingSet
+from reconstruction.samples.tabletop import TabletopSamples
+from reconstruction.samples.training_set import TrainingSet
 from tools.ablation import ablation, single_factors, two_factors, variant
 from tools.evaluation.case import Case, load_case
 from tools.evaluation.methods import method

@@ -9,6 +9,7 @@ import torch
 from mapping.baselines.base import UncertaintyClassifier, gini
 from mapping.baselines.bayesian_hilbert import BayesianHilbertConfig, BayesianHilbertMap
 from mapping.baselines.deep_ensemble import DeepEnsemble
+from mapping.baselines.deep_map import DeepMap, DeepMapConfig
 from mapping.baselines.dnn_gp import DnnGp, GaussianLayerConfig
 from mapping.baselines.gaussian_process import GaussianProcess, GaussianProcessConfig
 from mapping.baselines.hilbert import HilbertMap
@@ -16,7 +17,6 @@ from mapping.baselines.mc_dropout import McDropout
 from mapping.baselines.residual_network import NetworkConfig
 from mapping.baselines.sngp import Sngp
 from mapping.contramap import ContraMap, MapConfig
-from mapping.deep_map import DeepMap, DeepMapConfig
 from mapping.errors import ConfigError, DataError
 from sim_scenes.toy2d import ToyConfig, ToySet, make_toy_set
 

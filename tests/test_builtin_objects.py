@@ -8,9 +8,9 @@ import trimesh
 
 from mapping.errors import ConfigError
 from reconstruction import metrics
-from sim_scenes import builtin_objects, shipped_shapes
 from sim_scenes.convex_parts import collision_file, write_parts
-from sim_scenes.object_model import ObjectModel, load_model
+from sim_scenes.objects import builtin, shipped_shapes
+from sim_scenes.objects.object_model import ObjectModel, load_model
 
 
 @pytest.fixture(scope="module")
@@ -18,11 +18,11 @@ def samples() -> dict[str, list[ObjectModel]]:
     found = {}
     for index, family in enumerate(FAMILIES):
         rng = np.random.default_rng(index)
-        found[family] = [builtin_objects.make(family, rng) for _ in range(2)]
+        found[family] = [builtin.make(family, rng) for _ in range(2)]
     return found
 
 
-FAMILIES = builtin_objects.families()
+FAMILIES = builtin.families()
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -40,13 +40,13 @@ def test_every_family_is_closed_and_of_household_size(
         )
 
 
-@pytest.mark.parametrize("family", list(builtin_objects.PROCEDURAL))
+@pytest.mark.parametrize("family", list(builtin.PROCEDURAL))
 def test_two_of_a_family_differ_and_one_seed_gives_one_object(
     samples: dict[str, list[ObjectModel]], family: str
 ) -> None:
     first, second = samples[family]
     assert not np.allclose(first.mesh.extents, second.mesh.extents, rtol=1e-3)
-    again = builtin_objects.make(family, np.random.default_rng(FAMILIES.index(family)))
+    again = builtin.make(family, np.random.default_rng(FAMILIES.index(family)))
     np.testing.assert_array_equal(again.mesh.vertices, first.mesh.vertices)
     np.testing.assert_array_equal(again.vertex_colors, first.vertex_colors)
 
@@ -65,7 +65,7 @@ def test_a_mug_has_a_handle_to_reach_through(samples: dict[str, list[ObjectModel
         assert model.mesh.euler_number == 0  # one hole: the handle
 
 
-@pytest.mark.parametrize("family", list(builtin_objects.PROCEDURAL))
+@pytest.mark.parametrize("family", list(builtin.PROCEDURAL))
 def test_convex_parts_fill_the_shape(samples: dict[str, list[ObjectModel]], family: str, tmp_path) -> None:
     model = samples[family][0]
     write_parts(model, model.parts, tmp_path / "parts.obj")
@@ -80,13 +80,13 @@ def test_convex_parts_fill_the_shape(samples: dict[str, list[ObjectModel]], fami
 
 
 def test_draw_prefers_different_families() -> None:
-    models = builtin_objects.draw(8, np.random.default_rng(0))
+    models = builtin.draw(8, np.random.default_rng(0))
     assert len({model.name for model in models}) == 8
 
 
 def test_unknown_family_names_the_valid_ones() -> None:
     with pytest.raises(ConfigError, match="bottle"):
-        builtin_objects.make("teapot", np.random.default_rng(0))
+        builtin.make("teapot", np.random.default_rng(0))
 
 
 def test_saved_mesh_is_the_same_closed_mesh(samples: dict[str, list[ObjectModel]], tmp_path) -> None:

@@ -14,7 +14,8 @@ from perception.camera import transform
 from perception.frame import Frame
 from perception.frame_io import load_frame
 from reconstruction import metrics
-from sim_scenes import dataset, random_urdfs, ycb
+from sim_scenes import dataset
+from sim_scenes.objects import random_urdfs, ycb
 from sim_scenes.truth import load_truth
 
 pytest.importorskip("pybullet", reason="pybullet is not installed (extra `sim`, Python 3.10 or 3.11)")

@@ -19,9 +19,9 @@ from benchmark_scenes import write_scenes
 from mapping.errors import ConfigError, DataError
 from reconstruction.metrics import inside
 from reconstruction.solid import Solid
-from tools.evaluate import evaluate, find_scenes, finish
 from tools.evaluation.answers import Answers, ask, coarse_answers
 from tools.evaluation.case import Case, load_case
+from tools.evaluation.command import evaluate, find_scenes, finish
 from tools.evaluation.engine import run_local, run_ray
 from tools.evaluation.job import Job, Run, run_job
 from tools.evaluation.methods import METHODS, FittedMap
@@ -211,7 +211,8 @@ def test_a_killed_evaluation_goes_on_to_the_same_table(
 ) -> None:
     script = tmp_path / "call.py"
     script.write_text(
-        "from pathlib import Path\nfrom tools.evaluate import evaluate\nif __name__ == '__main__':\n"
+        "from pathlib import Path\nfrom tools.evaluation.command import evaluate\n"
+        "if __name__ == '__main__':\n"
         f"    evaluate(Path({str(scenes)!r}), out=Path({str(tmp_path)!r}), "
         "methods=('tsdf', 'hilbert'), seeds=(0,), gallery=0)\n"
     )

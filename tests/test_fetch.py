@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from mapping.errors import DataError
-from sim_scenes import fetch, ycb
+from sim_scenes.objects import fetch, ycb
 
 MODEL = "003_cracker_box"
 NAME = f"{MODEL}_google_16k.tgz"

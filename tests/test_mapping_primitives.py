@@ -18,7 +18,7 @@ from mapping.samples import (
     within,
 )
 from mapping.threads import map_in_threads
-from mapping.trilinear import corners
+from reconstruction.prior.trilinear import corners
 
 
 def test_lattice_in_box_holds_the_multiples_of_the_spacing():

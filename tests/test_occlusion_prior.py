@@ -9,14 +9,14 @@ import pytest
 from conftest import OBJECTS, Shape, make_tabletop
 
 from mapping.errors import DataError
-from mapping.occlusion_prior import WEIGHTS_FILE, OcclusionPrior, save_weights
-from mapping.prior_features import UNKNOWN, ObjectBox, RayEvidence
-from mapping.prior_footprint import CELLS, Footprint
-from mapping.prior_network import PriorNetwork
 from perception.camera import invert_rigid, transform
 from perception.observe import observe
 from perception.space import Space
-from reconstruction.hidden_space import BORDER_REACH_PX, Border, RayLookup, hidden_labels
+from reconstruction.prior.evidence import BORDER_REACH_PX, Border, RayLookup, hidden_labels
+from reconstruction.prior.features import UNKNOWN, ObjectBox, RayEvidence
+from reconstruction.prior.footprint import CELLS, Footprint
+from reconstruction.prior.network import PriorNetwork
+from reconstruction.prior.occlusion_prior import WEIGHTS_FILE, OcclusionPrior, save_weights
 
 
 @pytest.fixture(scope="module")

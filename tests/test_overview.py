@@ -11,9 +11,9 @@ from solids import BALL, BALL_RADIUS, reconstructed_tabletop, true_meshes
 
 from perception.camera import invert_rigid, transform
 from perception.observation import Skipped
-from reconstruction.overview import WIDTH, compose_overview, draw_overview
-from reconstruction.palette import object_colour, uncertainty_colours
-from reconstruction.slices import SliceConfig, _shared_height, slice_uncertainty, table_axes
+from reconstruction.pictures.overview import WIDTH, compose_overview, draw_overview
+from reconstruction.pictures.palette import object_colour, uncertainty_colours
+from reconstruction.pictures.slices import SliceConfig, _shared_height, slice_uncertainty, table_axes
 
 
 @pytest.fixture(scope="module")

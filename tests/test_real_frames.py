@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from reconstruction import reconstruct
-from sim_scenes.ycb import find_ycb
+from sim_scenes.objects.ycb import find_ycb
 from tools.real_frames import compare, load_real_frames
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "real_rgbd"

@@ -13,9 +13,9 @@ from perception.camera import Camera, transform
 from perception.space import Region, Space
 from reconstruction import preset, reconstruct
 from reconstruction.config import override
-from reconstruction.meshing import MeshConfig
 from reconstruction.metrics import chamfer, inside
-from reconstruction.tabletop_labels import TabletopLabels
+from reconstruction.samples.labels import TabletopLabels
+from reconstruction.surface.meshing import MeshConfig
 from tools.evaluation.statistics import auroc
 
 SIZE = (240, 180)
@@ -253,14 +253,14 @@ def test_diagnostics_are_complete(result):
 
 def field_of(log_odds: np.ndarray):
     """A field of one object on a 5 mm lattice, nowhere uncertain."""
-    from reconstruction.field import Field
+    from reconstruction.surface.field import Field
 
     everywhere = tuple(slice(0, n) for n in log_odds.shape)
     return Field(np.zeros(3), 0.005, [everywhere], [log_odds], np.zeros(log_odds.shape, np.float32))
 
 
 def test_an_enclosed_hollow_is_filled():
-    from reconstruction.meshing import MeshConfig, extract_mesh
+    from reconstruction.surface.meshing import MeshConfig, extract_mesh
 
     axis = np.arange(-20, 21)
     radius = np.sqrt(sum(c**2 for c in np.meshgrid(axis, axis, axis, indexing="ij")))
@@ -287,7 +287,7 @@ def plate(thickness: float, height: float):
 
 
 def test_a_thing_thinner_than_a_cell_stays_whole():
-    from reconstruction.meshing import MeshConfig, extract_mesh
+    from reconstruction.surface.meshing import MeshConfig, extract_mesh
 
     field, top = plate(thickness=0.002, height=0.0525)  # between the nodes at 50 and 55 mm
     assert extract_mesh(field, 0, MeshConfig()) is None
@@ -302,7 +302,7 @@ def test_a_thing_thinner_than_a_cell_stays_whole():
 
 
 def test_a_seen_point_where_the_map_rules_an_object_out_leaves_no_trace():
-    from reconstruction.meshing import MeshConfig, extract_mesh
+    from reconstruction.surface.meshing import MeshConfig, extract_mesh
 
     field, _ = plate(thickness=0.012, height=0.05)
     field.log_odds[0][field.log_odds[0] < -2] = -9
@@ -314,16 +314,16 @@ def test_a_seen_point_where_the_map_rules_an_object_out_leaves_no_trace():
 
 @pytest.mark.parametrize("shape", [(0, 0, 0), (1, 5, 5)])
 def test_an_object_that_the_map_finds_nowhere_is_no_error(shape):
-    from reconstruction.meshing import MeshConfig, extract_mesh
+    from reconstruction.surface.meshing import MeshConfig, extract_mesh
 
     field = field_of(np.full(shape, -9, np.float32))
     assert extract_mesh(field, 0, MeshConfig(), np.full((3, 3), 0.001)) is None
 
 
 def test_an_object_in_empty_air_has_an_empty_window(result):
-    from reconstruction.field import evaluate_field
-    from reconstruction.meshing import MeshConfig, extract_mesh
     from reconstruction.scene import object_space
+    from reconstruction.surface.field import evaluate_field
+    from reconstruction.surface.meshing import MeshConfig, extract_mesh
 
     lows, highs = object_space(result.observation, 0.1)
     free = result.samples[result.sample_classes == 0]
@@ -335,15 +335,15 @@ def test_an_object_in_empty_air_has_an_empty_window(result):
 
 
 def test_points_outside_the_lattice_are_no_error():
-    from reconstruction.meshing import MeshConfig, extract_mesh
+    from reconstruction.surface.meshing import MeshConfig, extract_mesh
 
     field, _ = plate(thickness=0.012, height=0.05)
     assert extract_mesh(field, 0, MeshConfig(), np.full((3, 3), 9.0)) is not None
 
 
 def test_windows_hold_all_that_the_map_gives_an_object(result):
-    from reconstruction.field import evaluate_field
     from reconstruction.scene import object_space
+    from reconstruction.surface.field import evaluate_field
 
     spacing = 0.005
     lows, highs = object_space(result.observation, 0.1)

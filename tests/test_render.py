@@ -8,8 +8,8 @@ import trimesh
 
 from perception.camera import Camera, transform
 from reconstruction import metrics
-from sim_scenes import builtin_objects
-from sim_scenes.object_model import ObjectModel, corner_normals
+from sim_scenes.objects import builtin
+from sim_scenes.objects.object_model import ObjectModel, corner_normals
 from sim_scenes.render import CameraConfig, Renderer, look_at, random_cameras
 from sim_scenes.surroundings import Surroundings
 from sim_scenes.tabletop import PlacedObject
@@ -19,7 +19,7 @@ SMALL = CameraConfig(width=160, height=120, focal_px=150.0)
 
 
 def placed(family: str, x: float, y: float, seed: int = 0) -> PlacedObject:
-    model = builtin_objects.make(family, np.random.default_rng(seed))
+    model = builtin.make(family, np.random.default_rng(seed))
     T = np.eye(4)
     T[:3, 3] = [x, y, -model.mesh.bounds[0, 2]]
     return PlacedObject(model, T)

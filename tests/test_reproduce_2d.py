@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from test_lidar import flaser, square_room
 
+from mapping.baselines.deep_map import DeepMapConfig
 from mapping.baselines.dnn_gp import GaussianLayerConfig
 from mapping.baselines.gaussian_process import GaussianProcessConfig
 from mapping.baselines.residual_network import NetworkConfig
-from mapping.deep_map import DeepMapConfig
 from mapping.errors import ConfigError, DataError
 from perception.lidar import BeamConfig
 from sim_scenes.toy2d import ToyConfig

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from scipy import ndimage
 
-from reconstruction.shading import ShadingConfig, cast, frame_meshes, look_at, render
+from reconstruction.pictures.shading import ShadingConfig, cast, frame_meshes, look_at, render
 
 UP = np.array([0.0, 0.0, 1.0])
 SIZE = (160, 120)

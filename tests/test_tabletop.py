@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from reconstruction import metrics
-from sim_scenes import builtin_objects
+from sim_scenes.objects import builtin
 from sim_scenes.tabletop import PlacedObject, Tabletop, TabletopConfig
 
 pytest.importorskip("pybullet", reason="pybullet is not installed (extra `sim`, Python 3.10 or 3.11)")
@@ -21,7 +21,7 @@ FAMILIES = ["box", "can", "bowl", "cup", "banana", "wrench", "ring"]
 @pytest.fixture(scope="module")
 def settled() -> Iterator[tuple[Tabletop, list[PlacedObject]]]:
     rng = np.random.default_rng(11)
-    models = [builtin_objects.make(family, rng) for family in FAMILIES]
+    models = [builtin.make(family, rng) for family in FAMILIES]
     with Tabletop() as table:
         table.drop(models, rng)
         yield table, table.placed()
@@ -90,7 +90,7 @@ def test_same_seed_same_poses() -> None:
     poses = []
     for _ in range(2):
         rng = np.random.default_rng(4)
-        models = [*builtin_objects.draw(1, rng), builtin_objects.make("can", rng)]
+        models = [*builtin.draw(1, rng), builtin.make("can", rng)]
         with Tabletop() as table:
             table.drop(models, rng)
             poses.append([item.T_world_object for item in table.placed()])
@@ -99,7 +99,7 @@ def test_same_seed_same_poses() -> None:
 
 def test_what_stood_on_a_removed_object_comes_down() -> None:
     rng = np.random.default_rng(0)
-    low, high = builtin_objects.make("box", rng), builtin_objects.make("can", rng)
+    low, high = builtin.make("box", rng), builtin.make("can", rng)
     config = TabletopConfig(drop_radius_m=0.0, upright=1.0)
     with Tabletop(config) as table:
         table.drop([low, high], rng)
@@ -115,14 +115,14 @@ def test_objects_that_fall_off_are_taken_away() -> None:
     rng = np.random.default_rng(0)
     config = TabletopConfig(table_size_m=(0.05, 0.05), drop_radius_m=0.3)
     with Tabletop(config) as table:
-        table.drop([builtin_objects.make("ball", rng) for _ in range(3)], rng)
+        table.drop([builtin.make("ball", rng) for _ in range(3)], rng)
         assert all(item.T_world_object[2, 3] > 0 for item in table.placed())
         assert len(table.placed()) < 3
 
 
 def test_scratch_files_are_cleaned_up() -> None:
     with Tabletop() as table:
-        table.drop([builtin_objects.make("can", np.random.default_rng(0))], np.random.default_rng(0))
+        table.drop([builtin.make("can", np.random.default_rng(0))], np.random.default_rng(0))
         folder = Path(table._scratch.name)
         assert folder.is_dir()
     assert not folder.exists()

@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from sim_scenes.training_scenes import inside, make_training_scene
-from sim_scenes.training_shapes import (
+from sim_scenes.training.scenes import inside, make_training_scene
+from sim_scenes.training.shapes import (
     FAMILIES,
     HELD_OUT_FAMILIES,
     TRAINING_FAMILIES,
@@ -36,7 +36,7 @@ def test_held_out_families_are_not_trained_on():
 
 
 def test_inside_is_the_union_of_parts():
-    from sim_scenes.solids import box, rounded
+    from sim_scenes.training.mesh_blocks import box, rounded
 
     shape = TrainingShape("pair", (box([2, 2, 2]), rounded([1, 1, 1], 1.0, [3, 0, 0])))
     points = np.array([[0.9, 0.9, 0.9], [3.0, 0, 0], [3.9, 0.9, 0], [1.5, 0, 0]], np.float32)

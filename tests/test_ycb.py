@@ -10,8 +10,8 @@ import trimesh
 from PIL import Image
 
 from mapping.errors import DataError
-from sim_scenes import ycb
-from sim_scenes.object_model import is_closed, load_model
+from sim_scenes.objects import ycb
+from sim_scenes.objects.object_model import is_closed, load_model
 
 SHARED = Path(__file__).resolve().parent.parent / "../shared/data/ycb"
 OBJ = """mtllib textured.mtl

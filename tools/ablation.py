@@ -83,8 +83,8 @@ def ablation(
         ycb: Folder of YCB scans; otherwise where the scenes were made from, or where scans are looked for.
     """
     from mapping.errors import DataError
-    from reconstruction.atomic import write_atomically
-    from tools.evaluate import check_same_scenes, find_scenes, run_jobs
+    from mapping.files import write_atomically
+    from tools.evaluation.command import check_same_scenes, find_scenes, run_jobs
     from tools.evaluation.job import Job, Run
     from tools.evaluation.summary import read_results, summarise
 

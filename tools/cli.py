@@ -9,7 +9,7 @@ from typing import Any
 
 from tools.benchmark import latency
 from tools.demo import demo
-from tools.evaluate import evaluate
+from tools.evaluation.command import evaluate
 from tools.exit_code import exit_code
 from tools.map_frame import map_frame
 from tools.reproduce.commands import hinges, occupancy, toy

@@ -41,7 +41,7 @@ def demo(
     """
     from perception.frame_io import load_frame
     from reconstruction import reconstruct, save_reconstruction
-    from reconstruction.result_folder import check_output
+    from reconstruction.files.result_folder import check_output
     from sim_scenes.dataset import generate
     from sim_scenes.truth import load_truth
 

@@ -61,7 +61,7 @@ def map_frame(
         overwrite: Replace an older result in --out.
     """
     from reconstruction import reconstruct
-    from reconstruction.result_folder import check_output, save_reconstruction
+    from reconstruction.files.result_folder import check_output, save_reconstruction
 
     settings = pipeline_config(preset, device, prior, set, config, spacing, max_uncertainty)
     check_output(out, overwrite)
@@ -69,7 +69,7 @@ def map_frame(
     reconstruction = reconstruct(loaded, settings, seed)
     save_reconstruction(reconstruction, out, overwrite=overwrite)
     if rrd is not None:
-        from reconstruction.recording import record
+        from reconstruction.pictures.recording import record
 
         record(reconstruction, rrd)
     print_summary(reconstruction)

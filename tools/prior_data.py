@@ -13,16 +13,16 @@ from pathlib import Path
 import numpy as np
 
 from mapping.errors import FrameError
-from mapping.occlusion_prior import lattice_coordinates, point_channels
-from mapping.prior_features import LATTICE, ObjectBox, RayEvidence, channels
-from mapping.prior_footprint import Footprint
 from mapping.samples import shift_along_rays
 from perception.camera import transform
 from perception.observe import observe
 from perception.space import Space
-from reconstruction.hidden_space import RayLookup
-from sim_scenes.training_scenes import TrainingScene, inside, make_training_scene
-from sim_scenes.training_shapes import TrainingShape
+from reconstruction.prior.evidence import RayLookup
+from reconstruction.prior.features import LATTICE, ObjectBox, RayEvidence, channels
+from reconstruction.prior.footprint import Footprint
+from reconstruction.prior.occlusion_prior import lattice_coordinates, point_channels
+from sim_scenes.training.scenes import TrainingScene, inside, make_training_scene
+from sim_scenes.training.shapes import TrainingShape
 
 QUERIES = 1280
 """Points with truth kept of each object."""

@@ -78,7 +78,7 @@ def size_is_right(row: dict[str, Any]) -> bool:
 def _true_mesh(real: RealFrame, label: int, ycb: Path | None) -> Trimesh | None:
     if label not in real.poses or ycb is None:
         return None
-    from sim_scenes.ycb import list_models, load_ycb
+    from sim_scenes.objects.ycb import list_models, load_ycb
 
     name, T = real.poses[label]
     if name not in list_models(ycb):
@@ -153,7 +153,7 @@ class Options:
 def main(options: Options) -> None:
     """Map all frames, print and write real.json."""
     from reconstruction import preset, reconstruct, save_reconstruction
-    from sim_scenes.ycb import find_ycb
+    from sim_scenes.objects.ycb import find_ycb
     from tools.options import write_json
 
     ycb = find_ycb(options.ycb)

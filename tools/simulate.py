@@ -53,7 +53,7 @@ def fetch_ycb(
         to: Where to unpack; by default the folder that `contramap scenes` looks in.
         only: Object ids; all of them by default.
     """
-    from sim_scenes.fetch import fetch_ycb as download
+    from sim_scenes.objects.fetch import fetch_ycb as download
 
     folder = download(to, only)
     print(f"YCB scans in {folder}")

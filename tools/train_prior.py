@@ -18,10 +18,10 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
-from mapping.occlusion_prior import WEIGHTS_FILE, OcclusionPrior, save_weights
-from mapping.prior_network import PriorNetwork
-from sim_scenes.random_urdfs import draw_figure, figures_folder
-from sim_scenes.training_shapes import HELD_OUT_FAMILIES, TRAINING_FAMILIES, draw_shape
+from reconstruction.prior.network import PriorNetwork
+from reconstruction.prior.occlusion_prior import WEIGHTS_FILE, OcclusionPrior, save_weights
+from sim_scenes.objects.random_urdfs import draw_figure, figures_folder
+from sim_scenes.training.shapes import HELD_OUT_FAMILIES, TRAINING_FAMILIES, draw_shape
 from tools.exit_code import exit_code
 from tools.prior_data import Examples, make_examples
 
@@ -94,7 +94,7 @@ def train(config: TrainConfig) -> dict:
         "training_objects": len(training),
         "training_families": list(TRAINING_FAMILIES),
         "held_out_families": list(HELD_OUT_FAMILIES),
-        "data": "procedural shapes (sim_scenes/training_shapes.py) in random scenes; no scans",
+        "data": "procedural shapes (sim_scenes/training/shapes.py) in random scenes; no scans",
         "scores": {name: score(written, examples) for name, examples in tests.items()},
         "data_s": None if kept else round(made - start),
         "train_s": round(perf_counter() - made),

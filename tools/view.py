@@ -13,7 +13,7 @@ from typing import Annotated
 import tyro
 
 from mapping.errors import ConfigError, DataError
-from reconstruction.result_folder import RECORDING, load_result
+from reconstruction.files.result_folder import RECORDING, load_result
 
 
 def view(result: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULT")]) -> None:
@@ -45,7 +45,7 @@ def find_recording(result: Path) -> Path:
     if recording.is_file():
         return recording
     stored = load_result(result)
-    from reconstruction.recording import record_stored
+    from reconstruction.pictures.recording import record_stored
 
     try:
         record_stored(stored, recording)

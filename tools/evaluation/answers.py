@@ -10,10 +10,10 @@ from time import perf_counter, process_time
 import numpy as np
 import trimesh
 
-from reconstruction.meshing import RULED_OUT, SEEN_LOG_ODDS, MeshConfig, extract_mesh
 from reconstruction.metrics import grid_around
 from reconstruction.scene import object_space as object_boxes
-from reconstruction.seen_cells import nodes_of_seen_cells
+from reconstruction.surface.meshing import RULED_OUT, SEEN_LOG_ODDS, MeshConfig, extract_mesh
+from reconstruction.surface.seen_cells import nodes_of_seen_cells
 from tools.evaluation.case import Case
 from tools.evaluation.methods import FittedMap, method
 from tools.evaluation.uncertainty_card import distance_to_samples

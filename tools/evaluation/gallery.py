@@ -9,9 +9,9 @@ import numpy as np
 import trimesh
 
 from perception.camera import Camera
-from reconstruction.meshing import MeshConfig
-from reconstruction.palette import object_colour, uncertainty_colours
-from reconstruction.shading import ShadingConfig, render
+from reconstruction.pictures.palette import object_colour, uncertainty_colours
+from reconstruction.pictures.shading import ShadingConfig, render
+from reconstruction.surface.meshing import MeshConfig
 from tools.evaluation.answers import delivered_meshes
 from tools.evaluation.case import Case, load_case
 from tools.evaluation.methods import FittedMap, method

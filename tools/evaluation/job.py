@@ -14,7 +14,7 @@ from zlib import crc32
 import numpy as np
 
 from mapping.errors import ContraMapError
-from reconstruction.atomic import temporary_beside, write_atomically
+from mapping.files import temporary_beside, write_atomically
 from sim_scenes.truth import TRUTH_FILE
 from tools.evaluation.answers import Answers, ask
 from tools.evaluation.case import Case, load_case

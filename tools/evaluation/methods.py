@@ -26,11 +26,11 @@ from mapping.lattice import LatticeEvaluator
 from perception.observation import Observation
 from perception.space import Space
 from reconstruction.config import override, preset
-from reconstruction.field import OUTSIDE, Field, evaluate_field, window_of
-from reconstruction.meshing import MeshConfig
-from reconstruction.paper_samples import PaperSamples
+from reconstruction.samples.paper import PaperSamples
+from reconstruction.samples.training_set import TrainingSet
 from reconstruction.scene import object_floor
-from reconstruction.training_set import TrainingSet
+from reconstruction.surface.field import OUTSIDE, Field, evaluate_field, window_of
+from reconstruction.surface.meshing import MeshConfig
 from tools.options import nested_setting
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mapping.deep_map import DeepMap, DeepMapConfig
+from mapping.baselines.deep_map import DeepMap, DeepMapConfig
 from tools.evaluation.statistics import auroc
 from tools.options import write_json
 from tools.reproduce.landscape import LANDSCAPES, OCCUPIED, Landscape, Split, load_log, split_log

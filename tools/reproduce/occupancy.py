@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from mapping.files import temporary_beside
 from perception.lidar import LaserLog
-from reconstruction.atomic import temporary_beside
 from tools.evaluation.statistics import auroc
 from tools.options import write_json
 from tools.reproduce.landscape import LANDSCAPES, OCCUPIED, Landscape, Split, load_log, split_log

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mapping.errors import ConfigError, DataError
-from reconstruction.atomic import temporary_beside
+from mapping.files import temporary_beside
 from tools.options import write_json
 
 T = TypeVar("T")

@@ -19,7 +19,7 @@ from mapping.baselines.mc_dropout import McDropout
 from mapping.baselines.residual_network import NetworkConfig
 from mapping.baselines.sngp import Sngp
 from mapping.contramap import ContraMap, MapConfig
-from reconstruction.atomic import temporary_beside
+from mapping.files import temporary_beside
 from sim_scenes.toy2d import TOY_SETS, ToyConfig, ToySet, make_toy_set
 from tools.evaluation.statistics import auroc, spearman
 from tools.options import write_json

@@ -11,28 +11,28 @@ from collections.abc import Callable
 import numpy as np
 
 from mapping.errors import ConfigError
-from sim_scenes import builtin_tools, builtin_toys, builtin_vessels, shipped_shapes
-from sim_scenes.object_model import ObjectModel
-from sim_scenes.paint import Shape
+from sim_scenes.objects import shipped_shapes, tools, toys, vessels
+from sim_scenes.objects.object_model import ObjectModel
+from sim_scenes.objects.paint import Shape
 
 PROCEDURAL: dict[str, Callable[[np.random.Generator], Shape]] = {
-    "box": builtin_toys.box,
-    "can": builtin_vessels.can,
-    "bottle": builtin_vessels.bottle,
-    "bowl": builtin_vessels.bowl,
-    "cup": builtin_vessels.cup,
-    "mug": builtin_vessels.mug,
-    "plate": builtin_vessels.plate,
-    "ball": builtin_toys.ball,
-    "fruit": builtin_toys.fruit,
-    "banana": builtin_toys.banana,
-    "screwdriver": builtin_tools.screwdriver,
-    "hammer": builtin_tools.hammer,
-    "wrench": builtin_tools.wrench,
-    "spoon": builtin_tools.spoon,
-    "spatula": builtin_tools.spatula,
-    "blocks": builtin_toys.blocks,
-    "ring": builtin_toys.ring,
+    "box": toys.box,
+    "can": vessels.can,
+    "bottle": vessels.bottle,
+    "bowl": vessels.bowl,
+    "cup": vessels.cup,
+    "mug": vessels.mug,
+    "plate": vessels.plate,
+    "ball": toys.ball,
+    "fruit": toys.fruit,
+    "banana": toys.banana,
+    "screwdriver": tools.screwdriver,
+    "hammer": tools.hammer,
+    "wrench": tools.wrench,
+    "spoon": tools.spoon,
+    "spatula": tools.spatula,
+    "blocks": toys.blocks,
+    "ring": toys.ring,
 }
 """Family name -> maker."""
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from sim_scenes import implicit_shapes as solid
-from sim_scenes import solid_parts
-from sim_scenes.paint import Shape, plain, random_color
+from sim_scenes.objects import implicit_shapes as solid
+from sim_scenes.objects import part_shapes as solid_parts
+from sim_scenes.objects.paint import Shape, plain, random_color
 
 
 def box(rng: np.random.Generator) -> Shape:

@@ -13,10 +13,17 @@ import numpy as np
 import torch
 
 from mapping.errors import DataError
-from mapping.prior_features import LATTICE, LATTICE_CHANNELS, Evidence, ObjectBox, RayEvidence, channels
-from mapping.prior_footprint import Footprint, footprint_channels
-from mapping.prior_network import PriorNetwork
 from mapping.threads import Threads
+from reconstruction.prior.features import (
+    LATTICE,
+    LATTICE_CHANNELS,
+    Evidence,
+    ObjectBox,
+    RayEvidence,
+    channels,
+)
+from reconstruction.prior.footprint import Footprint, footprint_channels
+from reconstruction.prior.network import PriorNetwork
 
 WEIGHTS_FILE = Path(__file__).with_name("prior_weights.npz")
 OUTSIDE = -12.0

@@ -18,7 +18,7 @@ from perception.camera import Camera
 from perception.frame import Frame
 from sim_scenes.render import look_at
 from sim_scenes.sensor_noise import SensorNoiseConfig, noisy_depth, noisy_labels
-from sim_scenes.training_shapes import TrainingShape
+from sim_scenes.training.shapes import TrainingShape
 
 DRAWS = 30
 """Places tried for a shape that should not touch the others."""

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mapping.prior_features import ObjectBox
-from mapping.trilinear import corners
+from reconstruction.prior.features import ObjectBox
+from reconstruction.prior.trilinear import corners
 
 CELLS = 64
 """Cells along each side of the box."""

@@ -26,14 +26,14 @@ import numpy as np
 import trimesh
 
 from mapping.errors import ConfigError
+from mapping.files import write_atomically
 from perception.camera import invert_rigid, transform
-from reconstruction.atomic import write_atomically
-from reconstruction.blueprint import first_view, mesh_blueprint, run_blueprint
-from reconstruction.palette import EMPTY_COLOUR, UNCERTAIN_COLOUR, object_colour, uncertainty_colours
+from reconstruction.files.result_folder import StoredObject, StoredResult
+from reconstruction.files.scene_json import object_folder
+from reconstruction.pictures.blueprint import first_view, mesh_blueprint, run_blueprint
+from reconstruction.pictures.palette import EMPTY_COLOUR, UNCERTAIN_COLOUR, object_colour, uncertainty_colours
+from reconstruction.pictures.slices import slice_uncertainty, table_axes
 from reconstruction.result import ReconstructedObject, Reconstruction
-from reconstruction.result_folder import StoredObject, StoredResult
-from reconstruction.scene_json import object_folder
-from reconstruction.slices import slice_uncertainty, table_axes
 
 Truth = Mapping[int, trimesh.Trimesh]
 TRUTH_COLOUR = (90, 200, 120, 110)

@@ -10,10 +10,10 @@ import numpy as np
 import trimesh
 from PIL import Image, ImageDraw, ImageFont
 
-from reconstruction.palette import object_colour, uncertainty_colours
+from reconstruction.pictures.palette import object_colour, uncertainty_colours
+from reconstruction.pictures.shading import View, cast, frame_meshes
+from reconstruction.pictures.slices import slice_uncertainty, table_axes
 from reconstruction.result import ReconstructedObject, Reconstruction
-from reconstruction.shading import View, cast, frame_meshes
-from reconstruction.slices import slice_uncertainty, table_axes
 
 WIDTH = 1600
 PANEL = (508, 381)  # three panels a row
@@ -35,7 +35,7 @@ def draw_overview(
     """
     import io
 
-    from reconstruction.atomic import write_atomically
+    from mapping.files import write_atomically
 
     buffer = io.BytesIO()
     compose_overview(reconstruction, truth).save(buffer, format="PNG")

@@ -7,11 +7,11 @@ from functools import lru_cache
 from pathlib import Path
 
 from mapping.errors import DataError
-from sim_scenes.cache import cache_dir
-from sim_scenes.object_model import ObjectModel, load_model
+from sim_scenes.objects.cache import cache_dir
+from sim_scenes.objects.object_model import ObjectModel, load_model
 
 MESH_FILE = Path("google_16k/textured.obj")
-REPOSITORY = Path(__file__).resolve().parent.parent
+REPOSITORY = Path(__file__).resolve().parents[2]
 
 
 def find_ycb(directory: str | Path | None = None) -> Path | None:

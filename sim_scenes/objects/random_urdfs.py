@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from mapping.errors import DataError
-from sim_scenes.object_model import ObjectModel, load_model
-from sim_scenes.training_shapes import TrainingShape
+from sim_scenes.objects.object_model import ObjectModel, load_model
+from sim_scenes.training.shapes import TrainingShape
 
 COUNT = 1000
 """Figures, in folders 000 to 999; a few of the files hold nothing."""

@@ -8,9 +8,9 @@ from torch import nn
 from torch.nn import functional as F
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from mapping.prior_features import LATTICE_CHANNELS, RAY_CHANNELS
-from mapping.prior_footprint import FOOTPRINT_CHANNELS
-from mapping.trilinear import corners
+from reconstruction.prior.features import LATTICE_CHANNELS, RAY_CHANNELS
+from reconstruction.prior.footprint import FOOTPRINT_CHANNELS
+from reconstruction.prior.trilinear import corners
 
 POINT_CHANNELS = RAY_CHANNELS + FOOTPRINT_CHANNELS
 """What is known of a single point: what the rays say, and the plan view."""

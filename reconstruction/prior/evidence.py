@@ -8,10 +8,10 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from mapping.occlusion_prior import OcclusionPrior
-from mapping.prior_features import BACKGROUND, OTHER, OWN, UNKNOWN, RayEvidence
 from perception.observation import Observation
 from perception.space import Space
+from reconstruction.prior.features import BACKGROUND, OTHER, OWN, UNKNOWN, RayEvidence
+from reconstruction.prior.occlusion_prior import OcclusionPrior
 
 BORDER_REACH_PX = 48
 """Distances to an object's silhouette are worked out this far from it [px]; beyond, they are that far."""

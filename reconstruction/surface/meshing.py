@@ -8,8 +8,8 @@ import numpy as np
 import trimesh
 from scipy import ndimage
 
-from reconstruction.field import OUTSIDE, Field
-from reconstruction.seen_cells import nodes_of_seen_cells
+from reconstruction.surface.field import OUTSIDE, Field
+from reconstruction.surface.seen_cells import nodes_of_seen_cells
 
 RULED_OUT = -4.0
 """Where its log odds are below this, the map is sure that a node is not of the object, seen cell or not."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from sim_scenes.solids import box, ring, rounded, swept, turned
-from sim_scenes.training_vessels import wall
+from sim_scenes.training.mesh_blocks import box, ring, rounded, swept, turned
+from sim_scenes.training.vessels import wall
 
 Parts = list[trimesh.Trimesh]
 

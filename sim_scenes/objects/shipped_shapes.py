@@ -6,7 +6,7 @@ from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 
-from sim_scenes.object_model import ObjectModel, load_model
+from sim_scenes.objects.object_model import ObjectModel, load_model
 
 SHIPPED = {
     "duck": ("duck.obj", 0.10),

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from sim_scenes import implicit_shapes as solid
-from sim_scenes import solid_parts
-from sim_scenes.paint import Shape, banded, plain, random_color
+from sim_scenes.objects import implicit_shapes as solid
+from sim_scenes.objects import part_shapes as solid_parts
+from sim_scenes.objects.paint import Shape, banded, plain, random_color
 
 
 def can(rng: np.random.Generator) -> Shape:

@@ -125,7 +125,7 @@ def run_jobs(jobs: list[Job], engine: str, workers: int, ray_address: str | None
 def finish(jobs: list[Job], failures: list[dict[str, str]], gallery: int, json_file: Path | None) -> None:
     """Write results.jsonl, summary.json, table.md, figures and report.html from all kept results."""
     from mapping.errors import DataError
-    from reconstruction.atomic import write_atomically
+    from mapping.files import write_atomically
     from tools.evaluation.figures import write_figures
     from tools.evaluation.job import Run
     from tools.evaluation.report import write_report

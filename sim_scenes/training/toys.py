@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from sim_scenes.solids import box, plate, rounded, swept, turned
+from sim_scenes.training.mesh_blocks import box, plate, rounded, swept, turned
 
 Parts = list[trimesh.Trimesh]
 

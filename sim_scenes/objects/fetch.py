@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from mapping.errors import DataError
-from sim_scenes.ycb import MESH_FILE, default_ycb_dir
+from sim_scenes.objects.ycb import MESH_FILE, default_ycb_dir
 
 BASE_URL = "http://ycb-benchmarks.s3-website-us-east-1.amazonaws.com/data/google"
 """Where the YCB project hosts its archives; $CONTRAMAP_YCB_URL or an argument overrides it."""

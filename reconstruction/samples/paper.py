@@ -11,7 +11,7 @@ from mapping.samples import along_rays, jittered_lattice, voxel_subsample, withi
 from perception.camera import transform
 from perception.observation import Observation
 from perception.space import Space
-from reconstruction.training_set import TrainingSet, assemble
+from reconstruction.samples.training_set import TrainingSet, assemble
 
 
 @dataclass(frozen=True)

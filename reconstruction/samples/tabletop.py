@@ -15,10 +15,10 @@ from mapping.hinges import lattice_near_points
 from mapping.samples import jittered, jittered_lattice, shift_along_rays, voxel_subsample
 from perception.observation import Observation
 from perception.space import Region, Space
-from reconstruction.even_noise import spread_evenly
-from reconstruction.hidden_space import hidden_labels
-from reconstruction.tabletop_labels import TabletopLabels
-from reconstruction.training_set import TrainingSet, assemble
+from reconstruction.prior.evidence import hidden_labels
+from reconstruction.samples.even_noise import spread_evenly
+from reconstruction.samples.labels import TabletopLabels
+from reconstruction.samples.training_set import TrainingSet, assemble
 
 FOOT_CLEARANCE = 0.0015
 """Samples keep this distance from the support plane, which is known no better [m]."""

@@ -24,11 +24,11 @@ import numpy as np
 import trimesh
 
 from mapping.errors import ConfigError, DataError
-from reconstruction.atomic import advice
-from reconstruction.mesh_files import decode_ply, encode_obj, encode_ply
-from reconstruction.overview import draw_overview
+from mapping.files import advice
+from reconstruction.files.mesh_files import decode_ply, encode_obj, encode_ply
+from reconstruction.files.scene_json import FORMAT, describe, object_folder, to_json
+from reconstruction.pictures.overview import draw_overview
 from reconstruction.result import Reconstruction
-from reconstruction.scene_json import FORMAT, describe, object_folder, to_json
 
 RECORDING = "recording.rrd"
 
@@ -144,7 +144,7 @@ def _write(
     _write_fields(reconstruction, folder / "field.npz")
     draw_overview(reconstruction, folder / "overview.png", truth)
     if recording:
-        from reconstruction.recording import record
+        from reconstruction.pictures.recording import record
 
         record(reconstruction, folder / RECORDING, truth)
     (folder / "scene.json").write_text(to_json(describe(reconstruction)), encoding="utf-8")

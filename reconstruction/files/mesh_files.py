@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from mapping.errors import DataError
-from reconstruction.palette import uncertainty_colours
+from reconstruction.pictures.palette import uncertainty_colours
 
 VERTEX = np.dtype(
     [
