@@ -91,7 +91,7 @@ def invert_rigid(T: np.ndarray) -> np.ndarray:
 def _matrix(value: np.ndarray, shape: tuple[int, int], name: str) -> np.ndarray:
     try:
         matrix = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise FrameError(f"{name} must be a {shape[0]}x{shape[1]} matrix of numbers") from error
     if matrix.shape != shape:
         raise FrameError(f"{name} must have shape {shape}, got {matrix.shape}")

@@ -59,7 +59,8 @@ def _on_table(
     low = height < limit
     if low.any():
         bottom = low & (height > -config.plane_threshold)
-        low &= ~(bottom & _enclosed(points, labels, pixels, bottom, camera, config))
+        if bottom.any():  # a mask may leak over the table's edge and be eroded where it meets the table
+            low &= ~(bottom & _enclosed(points, labels, pixels, bottom, camera, config))
     return low
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from mapping.errors import FrameError
+from mapping.guarded_files import line, names_of_npz, printable, read_json, read_npz
 from perception.camera import Camera
 from perception.frame import Frame
 from perception.image_io import read_array, read_depth_image, read_labels, read_rgb, write_png, write_whole
@@ -196,25 +196,8 @@ def _camera_of(K: np.ndarray, depth: np.ndarray, path: Path) -> Camera:
 
 def _read_npz(path: Path) -> dict[str, np.ndarray]:
     wanted = ("depth", "K", "rgb", *NPZ_LABELS)
-    try:
-        with zipfile.ZipFile(path) as archive:
-            for member in archive.namelist():
-                parts = member.replace("\\", "/").split("/")
-                if ".." in parts or parts[0] in ("", ".") or ":" in parts[0]:
-                    raise FrameError(
-                        f"{path}: refused, its member {member!r} points outside the archive; save it again "
-                        "with numpy.savez"
-                    )
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {key: archive[key] for key in archive.files if key in wanted}
-            return arrays or dict.fromkeys(archive.files, np.empty(0))
-    except (ValueError, OSError, zipfile.BadZipFile, EOFError, KeyError) as error:
-        if "allow_pickle" in str(error) or "pickled" in str(error):
-            raise FrameError(
-                f"{path}: refused, it holds pickled objects, which can run code; save plain arrays with "
-                "numpy.savez"
-            ) from error
-        raise FrameError(f"{path}: not a readable .npz file ({_line(error)}); save it again") from error
+    arrays = read_npz(path, wanted, FrameError)
+    return arrays or dict.fromkeys(names_of_npz(path, FrameError), np.empty(0))
 
 
 def _read_depth(path: Path, scale: Any, scale_name: str) -> np.ndarray:
@@ -251,21 +234,16 @@ def _read_names(path: Path) -> dict[int, str]:
     names = _read_json(path, 'it must hold {"1": "003_cracker_box"}')
     try:
         result = {int(label): name for label, name in names.items()}
-    except ValueError as error:
-        raise FrameError(f'{path}: keys must be label numbers like "1" ({_line(error)})') from error
+    except (ValueError, OverflowError) as error:
+        raise FrameError(f'{path}: keys must be label numbers like "1" ({line(error)})') from error
     wrong = [name for name in result.values() if not isinstance(name, str)]
     if wrong:
         raise FrameError(f"{path}: names must be text, got {wrong[0]!r}")
-    return result
+    return {label: printable(name) for label, name in result.items()}
 
 
 def _read_json(path: Path, hint: str) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise FrameError(f"{path}: no such file; {hint}") from error
-    except (OSError, ValueError) as error:
-        raise FrameError(f"{path}: not readable as JSON ({_line(error)}); {hint}") from error
+    content = read_json(path, hint, FrameError)
     if not isinstance(content, dict):
         raise FrameError(f"{path}: must hold a JSON object; {hint}")
     return content
@@ -274,8 +252,3 @@ def _read_json(path: Path, hint: str) -> dict[str, Any]:
 def _write_json(path: Path, content: dict[str, Any]) -> None:
     text = json.dumps(content, indent=1) + "\n"
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-
-
-def _line(error: Exception) -> str:
-    """The first line of an exception's text: messages of this project are one line."""
-    return (str(error) or type(error).__name__).splitlines()[0]

@@ -9,6 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from mapping.errors import FrameError
+from mapping.guarded_files import BROKEN, check_plain, read_npy
+
+LARGEST_IMAGE = 2**26
+"""Pixels of the largest image that is read: 8192 x 8192."""
 
 
 def read_rgb(path: Path) -> np.ndarray:
@@ -60,16 +64,7 @@ def read_labels(path: Path) -> np.ndarray:
 
 def read_array(path: Path) -> np.ndarray:
     """The array of a .npy file; pickled objects are refused."""
-    try:
-        return np.asarray(np.load(path, allow_pickle=False))
-    except FileNotFoundError as error:
-        raise FrameError(f"{path}: no such file") from error
-    except (ValueError, OSError, EOFError) as error:
-        if "allow_pickle" in str(error) or "pickled" in str(error):
-            raise FrameError(
-                f"{path}: refused, it holds pickled objects, which can run code; save a plain array"
-            ) from error
-        raise FrameError(f"{path}: not a readable .npy file; save it again with numpy.save") from error
+    return read_npy(path, FrameError)
 
 
 def write_png(path: Path, image: np.ndarray) -> None:
@@ -95,17 +90,16 @@ def _read_image(path: Path, wanted: str) -> tuple[np.ndarray, str]:
     """Pixels and Pillow's mode of an image file."""
     from PIL import Image, UnidentifiedImageError
 
+    check_plain(path, f"it must be {wanted}", FrameError)
     try:
         with Image.open(path) as image:
+            if image.width * image.height > LARGEST_IMAGE:
+                raise ValueError(f"{image.width}x{image.height} pixels")
             image.load()
             return np.array(image), image.mode
-    except FileNotFoundError as error:
-        raise FrameError(f"{path}: no such file; it must be {wanted}") from error
-    except IsADirectoryError as error:
-        raise FrameError(f"{path}: is a folder, not {wanted}") from error
     except UnidentifiedImageError as error:
         raise FrameError(f"{path}: not an image; it must be {wanted}") from error
     # Pillow reports broken PNG chunks as SyntaxError and absurd sizes as DecompressionBombError.
-    except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
+    except (*BROKEN, Image.DecompressionBombError) as error:
         reason = (str(error) or type(error).__name__).splitlines()[0]
         raise FrameError(f"{path}: damaged or cut short ({reason}); copy or save it again") from error

@@ -12,7 +12,9 @@ EXTRAS = {"pooch": "sim", "rerun": "viz", "matplotlib": "viz", "ray": "cluster"}
 
 
 def exit_code(name: str, run: Callable[[], object]) -> int:
-    """Run a command: 0, 2 after bad input or a missing file or package, 130 when interrupted."""
+    """Run a command: 0, 2 after bad input, a missing file or package or too little memory, 130 when
+    interrupted."""
+    _print_whatever_the_console_takes()
     try:
         run()
     except ContraMapError as error:
@@ -25,10 +27,24 @@ def exit_code(name: str, run: Callable[[], object]) -> int:
             return 0
         print(f"{name}: error: {' '.join(str(error).split())}{_advice(error)}", file=sys.stderr)
         return 2
+    except MemoryError as error:
+        detail = f" ({' '.join(str(error).split())})" if str(error) else ""
+        print(
+            f"{name}: error: out of memory{detail}; try a smaller image, a coarser lattice or fewer workers",
+            file=sys.stderr,
+        )
+        return 2
     except KeyboardInterrupt:
         print(f"{name}: interrupted", file=sys.stderr)
         return 130
     return 0
+
+
+def _print_whatever_the_console_takes() -> None:
+    """Signs that the console has no letter for are written as escapes: a name must not cost the result."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _advice(error: Exception) -> str:
