@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import trimesh
 
-from perception.camera import transform
+from perception.camera import invert_rigid, transform
 from perception.frame import Frame
 from perception.observation import Observation, Skipped
+from reconstruction.surface.agreement import Agreement, agreement_with_depth
 
 if TYPE_CHECKING:
     from mapping.contramap import ContraMap
+
+
+SENSOR_TOLERANCE = 0.005
+"""Meshes are compared with a depth image, whatever sensor it comes from, to this [m]."""
 
 
 @dataclass(frozen=True)
@@ -100,10 +106,30 @@ class Reconstruction:
     seed: int = 0
     floor: float | None = None
 
+    @cached_property
+    def agreement(self) -> dict[int, Agreement]:
+        """What the frame, as it was given, says of each object's mesh, by label. Measured when asked for."""
+        frame = self.frame
+        labels = self.observation.labels if frame.labels is None else frame.labels
+        meshes = {item.label: item.mesh for item in self.objects}
+        T_camera_world = invert_rigid(frame.camera.T_world_camera)
+        return agreement_with_depth(
+            meshes, labels, frame.depth, frame.camera, T_camera_world, SENSOR_TOLERANCE
+        )
+
+    @property
+    def contradictions(self) -> list[str]:
+        """A line of warning for each object whose mesh contradicts its depth image."""
+        return [
+            f"warning: the mesh of {item.label} {item.name} contradicts the depth image: "
+            f"{found.agreement:.0%} of its pixels agree within {1e3 * found.tolerance:.0f} mm, "
+            f"{found.early_rays:.1%} as many rays are stopped too early"
+            for item in self.objects
+            if (found := self.agreement[item.label]).contradicts
+        ]
+
     def query(self, points: np.ndarray) -> Query:
         """What the map says at points (N, 3) [m] in the world frame."""
-        from perception.camera import invert_rigid
-
         points = np.asarray(points, dtype=np.float32)
         local = transform(invert_rigid(self.T_world_table), points)
         probability, occupancy, gradient = self.map.predict_occupancy(local)

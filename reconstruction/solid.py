@@ -37,6 +37,12 @@ class Solid:
         """Distance [m] of points (..., 3) to the nearest point of the surface: (...) float32."""
         return self._scene.compute_distance(_tensor(points)).numpy()
 
+    def cast(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Distance (N,) float32 at which rays from origins (N, 3) [m] first meet the surface, in lengths of
+        their directions (N, 3); infinite where they miss."""
+        rays = np.concatenate([origins, directions], axis=1)
+        return self._scene.cast_rays(_tensor(rays))["t_hit"].numpy()
+
     @cached_property
     def _scene(self) -> Any:
         import open3d

@@ -85,7 +85,7 @@ def print_summary(reconstruction: Reconstruction) -> None:
         print(f"{item.label:>5}  {item.name:28.28} {size:>15}  {item.mean_uncertainty:11.2f}  {tight}")
     for skipped in reconstruction.skipped:
         print(f"skipped {skipped.label} {skipped.name}: {skipped.reason}")
-    for note in reconstruction.notes:
+    for note in [*reconstruction.notes, *reconstruction.contradictions]:
         print(f"note: {note}")
     stages = ", ".join(f"{stage} {ms:.0f}" for stage, ms in reconstruction.timings_ms.items())
     print(f"milliseconds: {stages}")

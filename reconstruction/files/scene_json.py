@@ -45,7 +45,7 @@ def describe(reconstruction: Reconstruction) -> dict[str, Any]:
                 {"label": item.label, "name": item.name, "reason": item.reason}
                 for item in reconstruction.skipped
             ],
-            "notes": reconstruction.notes,
+            "notes": [*reconstruction.notes, *reconstruction.contradictions],
             "timings_ms": reconstruction.timings_ms,
             "seed": reconstruction.seed,
             "config": reconstruction.config,
@@ -70,6 +70,9 @@ def _describe_object(item: ReconstructedObject, reconstruction: Reconstruction) 
         "faces": len(item.mesh.faces),
         "labelled_pixels": seen.labelled if seen else None,
         "dropped_pixels": seen.dropped if seen else None,
+        "agreement": reconstruction.agreement[item.label].agreement,
+        "early_rays": reconstruction.agreement[item.label].early_rays,
+        "agreement_within": reconstruction.agreement[item.label].tolerance,
     }
 
 

@@ -20,6 +20,10 @@ from reconstruction.solid import Solid
 from tools.evaluation.answers import FINE_SPACING, CoarseAnswer, DeliveredMeshes, coarse_grid
 from tools.evaluation.case import Case
 from tools.evaluation.statistics import spearman
+from tools.evaluation.surface_card import FINEST_SPACING, agreements, surface_card
+
+ZERO_WHEN_MISSING = ("iou_5mm", "iou_2_5mm", "fscore_5mm", "fscore_10mm", "agreement", "early_rays")
+"""Metrics of an object that got no mesh; the others are missing."""
 
 
 def coarse_protocol(
@@ -44,10 +48,12 @@ def coarse_protocol(
 
 def fine_protocol(meshes: DeliveredMeshes, case: Case, rng: np.random.Generator) -> dict[int, dict[str, Any]]:
     """{label: metrics} of delivered meshes: IoU on a 5 mm grid, Chamfer, F-score at 5 and 10 mm, distance of
-    the visible and hidden true surface from the mesh [mm], and how well vertex uncertainty ranks errors."""
+    the visible and hidden true surface from the mesh [mm], how well vertex uncertainty ranks errors, and the
+    surface card. An object without a mesh agrees with no ray."""
     found: dict[int, dict[str, Any]] = {}
+    agreed = agreements({label: mesh for label, (mesh, _) in meshes.items()}, case)
     for label in case.judged:
-        found[label] = {"iou_5mm": 0.0, "fscore_5mm": 0.0, "fscore_10mm": 0.0}
+        found[label] = dict.fromkeys(ZERO_WHEN_MISSING, 0.0)
         if label not in meshes:
             continue
         mesh, uncertainty = meshes[label]
@@ -64,6 +70,10 @@ def fine_protocol(meshes: DeliveredMeshes, case: Case, rng: np.random.Generator)
             "visible_mm": 1e3 * parts["visible"],
             "hidden_mm": 1e3 * parts["hidden"],
             "vertex_spearman": spearman(uncertainty, true.distance(mesh.vertices)),
+            "agreement": agreed[label].agreement,
+            "early_rays": agreed[label].early_rays,
+            "iou_2_5mm": mesh_iou(predicted, true, FINEST_SPACING),
+            **surface_card(mesh, predicted, true, seen, case.space.origin, rng),
         }
     return found
 

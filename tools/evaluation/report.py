@@ -15,6 +15,7 @@ from tools.evaluation.table import (
     shape_rows,
     speed_rows,
     sturdy_rows,
+    surface_rows,
 )
 
 STYLE = """
@@ -58,6 +59,13 @@ SHAPES = (
     "the mesh, within 1 cm of what the camera saw and elsewhere. Missing: objects without any prediction, "
     "which count as IoU 0 and have no Chamfer distance."
 )
+SURFACES = (
+    "Delivered meshes against the frame as it was given and the true shapes. Agreement: share of labelled, "
+    "measured pixels whose ray first meets its object's mesh within 3 mm of the depth; early rays: rays a "
+    "mesh stops more than 6 mm too early, per labelled pixel. Normals: angle to the true normal within 4 mm "
+    "of seen points. Handles: genus of the mesh; right: the true mesh has as many. Walls: along rays on "
+    "which the true object is at most 15 mm thick."
+)
 CARD = (
     "On 1 cm voxels above the table within 15 cm of true objects. Occlusion AUROC: does it rank hidden space "
     "above seen space? Error AUROC: does it rank wrong answers above right ones? AURC: mean error rate over "
@@ -90,6 +98,7 @@ def write_report(summary: dict[str, Any], figures: dict[str, Path], gallery: Pat
         f"<p>{summary['scenes']} scenes, seeds {seeds}, {threads} thread{'s' * (threads != 1)} a job. "
         "Click a column to sort by it.</p>",
         _section("Shapes", SHAPES, _table(shape_rows(summary))),
+        _section("Surfaces", SURFACES, _table(surface_rows(summary))),
         _section("Uncertainty", CARD, _table(card_rows(summary))),
         _section("Speed", SPEED, _table(speed_rows(summary))),
     ]

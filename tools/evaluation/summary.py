@@ -24,6 +24,14 @@ OBJECT_METRICS = (
     "visible_mm",
     "hidden_mm",
     "vertex_spearman",
+    "agreement",
+    "early_rays",
+    "normal_deg",
+    "handles",
+    "handles_right",
+    "parts",
+    "wall_excess_mm",
+    "iou_2_5mm",
 )
 """Metrics of single objects: a scene's value is the mean over its objects that have one."""
 CARD_METRICS = (
@@ -53,6 +61,10 @@ LOWER_IS_BETTER = frozenset(
         "brier",
         "ece",
         "error_rate",
+        "early_rays",
+        "normal_deg",
+        "handles",
+        "wall_excess_mm",
         *TIMES,
     }
 )

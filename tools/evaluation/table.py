@@ -18,6 +18,16 @@ SHAPE_COLUMNS = {
     "visible_mm": "visible [mm]",
     "hidden_mm": "hidden [mm]",
 }
+SURFACE_COLUMNS = {
+    "agreement": "agreement, 3 mm",
+    "early_rays": "early rays",
+    "normal_deg": "normals [deg]",
+    "handles": "handles",
+    "handles_right": "handles right",
+    "parts": "parts",
+    "wall_excess_mm": "walls too thick [mm]",
+    "iou_2_5mm": "IoU 2.5 mm",
+}
 CARD_COLUMNS = {
     "occlusion_auroc": "occlusion AUROC",
     "error_auroc": "error AUROC",
@@ -29,6 +39,7 @@ CARD_COLUMNS = {
     "ece": "ECE",
 }
 DIGITS = {"chamfer_mm": 1, "chamfer_5mm": 1, "visible_mm": 1, "hidden_mm": 1, "aurc": 4, "ause": 4, "ece": 4}
+DIGITS |= {"normal_deg": 1, "handles": 2, "parts": 2, "wall_excess_mm": 1}
 """Digits after the point, 3 for all others."""
 
 
@@ -36,6 +47,7 @@ def all_tables(summary: dict[str, Any]) -> list[str]:
     """Every table as markdown under its title, those without rows left out."""
     kinds = {
         "Shapes": shape_rows,
+        "Surfaces": surface_rows,
         "Uncertainty": card_rows,
         "Speed": speed_rows,
         "Against V-PRISM": against_rows,
@@ -55,6 +67,12 @@ def shape_rows(summary: dict[str, Any]) -> list[list[str]]:
         for name, entry in summary["methods"].items()
     ]
     return [header, *rows]
+
+
+def surface_rows(summary: dict[str, Any]) -> list[list[str]]:
+    """Header and one row a method: what the surface card says of delivered meshes."""
+    rows = [[name, *_cells(entry, SURFACE_COLUMNS)] for name, entry in summary["methods"].items()]
+    return [["method", *SURFACE_COLUMNS.values()], *(row for row in rows if any(row[1:]))]
 
 
 def card_rows(summary: dict[str, Any]) -> list[list[str]]:

@@ -1,0 +1,142 @@
+"""The surface card: is a delivered mesh right where it was seen, in one piece, and as thin as it should be?
+
+Knows true meshes and the frame; DESIGN.md defines the measures.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import trimesh
+from scipy.spatial import cKDTree
+
+from perception.camera import invert_rigid
+from reconstruction.metrics import SURFACE_SAMPLES
+from reconstruction.solid import Solid
+from reconstruction.surface.agreement import Agreement, agreement_with_depth
+from tools.evaluation.case import Case
+
+SEEN_REACH = 0.004
+"""Normals are compared where the mesh is this near to a seen point [m]."""
+TRUE_SAMPLES = 40_000
+"""Points on the true surface with their normals."""
+NEIGHBOURS = 5
+"""The best of so many nearest true points counts, so that thin walls are not judged by their other side."""
+WALL = 0.015
+"""What is no thicker than this along the ray is a wall [m]."""
+WALL_RAYS = 4000
+"""Rays that measure an object's walls, at most."""
+BEHIND = 1e-5
+"""The second ray of a wall starts so far behind the first hit [m]."""
+FINEST_SPACING = 0.0025
+"""Grid of the finest IoU [m]."""
+
+
+def agreements(meshes: dict[int, trimesh.Trimesh], case: Case) -> dict[int, Agreement]:
+    """Agreement of meshes [m, table frame] with the frame as it was given, before any cleaning."""
+    frame = case.frame
+    assert frame.labels is not None
+    T_camera_table = invert_rigid(case.observation.T_table_camera)
+    return agreement_with_depth(meshes, frame.labels, frame.depth, frame.camera, T_camera_table)
+
+
+def surface_card(
+    mesh: trimesh.Trimesh,
+    predicted: Solid,
+    true: Solid,
+    seen: np.ndarray,
+    origin: np.ndarray,
+    rng: np.random.Generator,
+) -> dict[str, Any]:
+    """Measures of one mesh against its true one: normals on what was seen, genus, parts, walls.
+
+    seen: (N, 3) measured points [m]; origin: (3,) the camera's centre, in the meshes' frame.
+    """
+    handles, parts = handles_and_parts(mesh)
+    true_handles, true_parts = handles_and_parts(true.mesh)
+    return {
+        "normal_deg": normal_error(mesh, true.mesh, seen, rng),
+        "handles": handles,
+        "true_handles": true_handles,
+        "handles_right": None if None in (handles, true_handles) else float(handles == true_handles),
+        "parts": parts,
+        "true_parts": true_parts,
+        **wall_excess(predicted, true, seen, origin, rng),
+    }
+
+
+def handles_and_parts(mesh: trimesh.Trimesh) -> tuple[int | None, int]:
+    """Genus of a closed mesh, summed over its parts (None when it is not closed), and the number of parts."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    count = len(mesh.vertices)
+    used = np.zeros(count, bool)
+    used[mesh.faces.ravel()] = True
+    a, b = mesh.edges.T
+    links = coo_matrix((np.ones(len(a), np.int8), (a, b)), (count, count))
+    _, part = connected_components(links, directed=False)
+    parts = len(np.unique(part[used]))
+    if not mesh.is_watertight:
+        return None, parts
+    euler = int(used.sum()) - len(mesh.edges_unique) + len(mesh.faces)
+    return parts - euler // 2, parts
+
+
+def normal_error(
+    mesh: trimesh.Trimesh, true: trimesh.Trimesh, seen: np.ndarray, rng: np.random.Generator
+) -> float | None:
+    """Mean angle [degrees] between a mesh's normals near seen points (N, 3) and the true ones, for each point
+    the best of the NEIGHBOURS nearest; None when the mesh is nowhere near."""
+    points, normals = surface_with_normals(mesh, SURFACE_SAMPLES, rng)
+    near = np.isfinite(cKDTree(seen).query(points, distance_upper_bound=SEEN_REACH)[0])
+    if not near.any():
+        return None
+    true_points, true_normals = surface_with_normals(true, TRUE_SAMPLES, rng)
+    _, nearest = cKDTree(true_points).query(points[near], k=NEIGHBOURS)
+    cosine = np.einsum("nkd,nd->nk", true_normals[nearest], normals[near]).max(1)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
+
+
+def surface_with_normals(
+    mesh: trimesh.Trimesh, count: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (count, 3) uniform on a mesh, and the unit normals (count, 3) of their triangles."""
+    corners = np.asarray(mesh.triangles)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.linalg.norm(normals, axis=1)
+    chosen = rng.choice(len(corners), size=count, p=areas / areas.sum())
+    u, v = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
+    a, b, c = corners[chosen].transpose(1, 0, 2)
+    return (1 - u) * a + u * (1 - v) * b + u * v * c, normals[chosen] / areas[chosen, None]
+
+
+def wall_excess(
+    predicted: Solid, true: Solid, seen: np.ndarray, origin: np.ndarray, rng: np.random.Generator
+) -> dict[str, float | None]:
+    """How much thicker walls are than true [mm], along rays through seen points (N, 3) from origin (3,).
+
+    wall_excess_mm: mean over the rays on which the true object is no thicker than WALL; wall_share: their
+    share. None where there are none.
+    """
+    targets = seen if len(seen) <= WALL_RAYS else seen[rng.choice(len(seen), WALL_RAYS, replace=False)]
+    directions = targets - origin
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    thickness = [_thickness(solid, origin, directions) for solid in (predicted, true)]
+    walls = np.isfinite(thickness[0]) & (thickness[1] <= WALL)
+    share = float(walls.mean())
+    if not walls.any():
+        return {"wall_excess_mm": None, "wall_share": share}
+    return {"wall_excess_mm": 1e3 * float((thickness[0] - thickness[1])[walls].mean()), "wall_share": share}
+
+
+def _thickness(solid: Solid, origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """(N,) how far rays run within a closed solid after they first meet it [m]; infinite where they miss."""
+    start = np.broadcast_to(origin, directions.shape)
+    entry = solid.cast(start, directions)
+    hit = np.isfinite(entry)
+    thickness = np.full(len(directions), np.inf)
+    inside = start[hit] + directions[hit] * (entry[hit, None] + BEHIND)
+    thickness[hit] = solid.cast(inside, directions[hit]) + BEHIND
+    return thickness
