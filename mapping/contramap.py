@@ -13,6 +13,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from mapping.checks import (
+    check_grid,
+    check_reached,
+    check_resolution,
+    checked_classes,
+    checked_points,
+    checked_widths,
+)
 from mapping.errors import ConfigError, DataError
 from mapping.kernels import PREDICT_CUTOFF, blocks, dense_features
 from mapping.lattice import LatticeEvaluator
@@ -83,29 +91,28 @@ class ContraMap:
         (H,), default config.gamma; weights: (N,) > 0; classes: C + 1 when y may lack the last class.
         Raises DataError for wrong shapes, NaN or labels out of range.
         """
-        X, y = _points(X), np.asarray(y)
+        X = checked_points(X)
+        y, count = checked_classes(y, len(X), classes)
         soft = y.ndim == 2
-        if len(y) != len(X) or y.ndim not in (1, 2):
-            raise DataError(
-                f"y must be (N,) classes or (N, C+1) distributions for {len(X)} points, got {y.shape}"
-            )
-        count = y.shape[1] if soft else int(classes or y.max() + 1)
-        if not soft and (y.min() < 0 or y.max() >= count):
-            raise DataError(f"y must lie in 0..{count - 1}, got {y.min()}..{y.max()}")
         weights = np.ones(len(X), np.float32) if weights is None else np.asarray(weights, np.float32)
         if weights.shape != (len(X),) or not (weights > 0).all():
             raise DataError(f"weights must be {len(X)} numbers > 0, got shape {weights.shape}")
-        self.hinges = _grid_around(X, self.config.hinge_spacing) if hinges is None else _points(hinges)
+        if hinges is None:
+            check_grid(X, self.config.hinge_spacing)
+        self.hinges = _grid_around(X, self.config.hinge_spacing) if hinges is None else checked_points(hinges)
         if self.hinges.shape[1] != X.shape[1]:
             raise DataError(f"hinge points have {self.hinges.shape[1]} coordinates, points have {X.shape[1]}")
         width = self.config.gamma if gamma is None else gamma
-        self.gamma = np.broadcast_to(np.asarray(width, np.float32), len(self.hinges)).copy()
+        self.gamma = checked_widths(width, len(self.hinges))
+        check_resolution(X, self.gamma)
         self.offset = self._offset(count)
         features = sparse_features(X, self.hinges, self.gamma, self.config.fit_cutoff, self.device)
         order = features.order.cpu().numpy()
         # The map says "uncertain" beyond its hinge points whatever lies there: samples out of reach would
         # only drive the outermost weights up.
-        weights = np.where(features.strongest.cpu().numpy() > REACHED, weights[order], np.float32(0))
+        reached = features.strongest.cpu().numpy() > REACHED
+        check_reached(reached)
+        weights = np.where(reached, weights[order], np.float32(0))
         weights_t = torch.from_numpy(weights / weights.sum()).to(self.device)
         targets = torch.from_numpy(y[order].astype(np.float32 if soft else np.int64)).to(self.device)
         self.W, self.report = fit_softmax(
@@ -125,7 +132,7 @@ class ContraMap:
 
     def logits(self, X: np.ndarray) -> torch.Tensor:
         """Logits (N, C+1) at points (N, d)."""
-        X = _points(X, dimensions=self.hinges.shape[1])
+        X = self._asked(X)
         out = self.offset.repeat(len(X), 1)
         if len(X) == 0:
             return out
@@ -137,6 +144,7 @@ class ContraMap:
 
     def lattice(self) -> LatticeEvaluator:
         """A function of d coordinate arrays that gives logits (C+1, *lattice) on the lattice they span."""
+        self._check_fitted()
         return LatticeEvaluator(self.hinges, self.gamma, self.W, self.offset)
 
     def predict_lattice(self, axes: tuple[np.ndarray, ...]) -> np.ndarray:
@@ -148,7 +156,7 @@ class ContraMap:
 
         Occupancy is P(class != 0) among the classes other than uncertain; class 0 is empty space.
         """
-        X = _points(X, dimensions=self.hinges.shape[1])
+        X = self._asked(X)
         logits, slopes = self.logits(X), torch.zeros(len(X), X.shape[1], self.class_count, device=self.device)
         X_t, hinges, gamma = self._tensors(X, self.hinges, self.gamma)
         for rows, near in blocks(X, self.hinges, self.gamma, PREDICT_CUTOFF):
@@ -169,7 +177,16 @@ class ContraMap:
         """Write the map as one .npz file (see model_io)."""
         from mapping.model_io import save_map
 
+        self._check_fitted()
         save_map(self, Path(path))
+
+    def _check_fitted(self) -> None:
+        if not len(self.W) or len(self.W) != len(self.hinges):
+            raise DataError("this map is not fitted yet; call fit(X, y), or read one with load_map(path)")
+
+    def _asked(self, X: np.ndarray) -> np.ndarray:
+        self._check_fitted()
+        return checked_points(X, dimensions=self.hinges.shape[1])
 
     def _offset(self, count: int) -> torch.Tensor:
         # Kernels vanish far away and leave softmax(offset): fixed, not fitted, so that a query out of reach
@@ -196,16 +213,6 @@ def _device(name: str) -> torch.device:
     if name == "cuda" and not available:
         raise ConfigError("device cuda was asked for, but torch finds no CUDA device; use auto or cpu")
     return torch.device("cuda" if available else "cpu")
-
-
-def _points(X: np.ndarray, dimensions: int | None = None) -> np.ndarray:
-    X = np.ascontiguousarray(X, dtype=np.float32)
-    if X.ndim != 2 or (dimensions is not None and X.shape[1] != dimensions):
-        wanted = f"(N, {dimensions})" if dimensions else "(N, d)"
-        raise DataError(f"points must have shape {wanted}, got {X.shape}")
-    if not np.isfinite(X).all():
-        raise DataError("points hold NaN or infinite values")
-    return X
 
 
 def _grid_around(X: np.ndarray, spacing: float) -> np.ndarray:

@@ -34,14 +34,25 @@ def blocks(
     X: np.ndarray, hinges: np.ndarray, gamma: np.ndarray, cutoff: float
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Split points into compact groups: yields (indices into X, indices of the hinges in reach)."""
+    if len(X) == 0:
+        return
     radius = reach(gamma, cutoff).astype(np.float32)
     size = 1.5 * float(radius.max())
-    cell = np.floor((X - X.min(0)) / size).astype(np.int64)
-    key = np.ravel_multi_index(tuple(cell.T), tuple(cell.max(0) + 1))
+    key = cell_numbers(np.floor((X - X.min(0)) / size))
     order = np.argsort(key, kind="stable")
     starts = np.flatnonzero(np.diff(key[order], prepend=-1))
     for start, end in zip(starts, np.append(starts[1:], len(X))):
         rows = order[start:end]
         low, high = X[rows].min(0), X[rows].max(0)
         gap = np.maximum(np.maximum(low - hinges, hinges - high), 0)
-        yield rows, np.flatnonzero((gap**2).sum(1) < radius**2)
+        with np.errstate(over="ignore"):  # points may lie anywhere
+            near = np.flatnonzero((gap**2).sum(1) < radius**2)
+        yield rows, near
+
+
+def cell_numbers(cell: np.ndarray) -> np.ndarray:
+    """One number (N,) for each cell (N, d) >= 0, in the cells' order, however far apart they are."""
+    sides = cell.max(0) + 1
+    if np.prod(sides.astype(float)) < 2**62:
+        return np.ravel_multi_index(tuple(cell.astype(np.int64).T), tuple(sides.astype(np.int64)))
+    return np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)

@@ -12,6 +12,7 @@ from math import prod
 import numpy as np
 import torch
 
+from mapping.errors import DataError
 from mapping.kernels import reach
 from mapping.threads import Threads
 
@@ -40,6 +41,7 @@ class LatticeEvaluator:
 
     def __init__(self, hinges: np.ndarray, gamma: np.ndarray, W: torch.Tensor, offset: torch.Tensor):
         self.offset = offset
+        self.dimensions = hinges.shape[1]
         self.groups: list[_HingeLattice | _ScatteredHinges] = []
         for width in np.unique(gamma):
             rows = np.flatnonzero(gamma == width)
@@ -47,8 +49,20 @@ class LatticeEvaluator:
             self.groups.append(_group(hinges[rows], float(width), weights))
 
     def __call__(self, axes: Axes) -> torch.Tensor:
-        """Logits (C, *lattice) at every node of the lattice spanned by d coordinate arrays."""
+        """Logits (C, *lattice) at every node of the lattice spanned by d coordinate arrays, in their order:
+        they may rise, fall or jump. Raises DataError when they are not d arrays (n,) of numbers."""
+        axes = _checked(axes, self.dimensions)
         shape = [len(axis) for axis in axes]
+        if 0 in shape:
+            return self.offset.new_empty(len(self.offset), *shape)
+        orders = [None if rises(axis) else np.argsort(axis, kind="stable") for axis in axes]
+        if any(order is not None for order in orders):
+            out = self([axis if order is None else axis[order] for axis, order in zip(axes, orders)])
+            for i, order in enumerate(orders):
+                if order is not None:
+                    places = torch.from_numpy(np.argsort(order)).to(out.device)
+                    out = out.index_select(i + 1, places)
+            return out
         side = round(BLOCK ** (1 / len(shape)))
         lattice = self.on(axes)
         if max(shape) <= side:
@@ -64,8 +78,10 @@ class LatticeEvaluator:
         return out
 
     def on(self, axes: Axes) -> MapOnLattice:
-        """The map on the lattice spanned by d coordinate arrays, to be asked block by block."""
-        axes = [np.asarray(axis, np.float32) for axis in axes]
+        """The map on the lattice spanned by d coordinate arrays that rise, to be asked block by block."""
+        axes = _checked(axes, self.dimensions)
+        if not all(rises(axis) for axis in axes):
+            raise DataError("the coordinates of a lattice's axes must rise")
         return MapOnLattice(self.offset, [group.on(axes) for group in self.groups])
 
 
@@ -166,6 +182,26 @@ class _ScatteredHinges:
         right = (weights.T[:, :, None] * tables[-1].T).movedim(0, 1)  # (h, C, n_last)
         block = left @ right.reshape(len(near), -1)
         return block.reshape(*(len(a) for a in axes[:-1]), -1, len(axes[-1])).movedim(-2, 0)
+
+
+def rises(axis: np.ndarray) -> bool:
+    """Whether no coordinate is smaller than the one before."""
+    return bool((axis[1:] >= axis[:-1]).all())
+
+
+def _checked(axes: Axes, dimensions: int) -> list[np.ndarray]:
+    try:
+        arrays = [np.asarray(axis, np.float32) for axis in axes]
+    except (TypeError, ValueError) as error:
+        raise DataError(f"a lattice's axes must be arrays (n,) of numbers ({error})") from error
+    if len(arrays) != dimensions or any(axis.ndim != 1 for axis in arrays):
+        raise DataError(
+            f"a lattice needs {dimensions} axes, arrays (n,) of coordinates; got shapes "
+            f"{[axis.shape for axis in arrays]}"
+        )
+    if not all(np.isfinite(axis).all() for axis in arrays):
+        raise DataError("a lattice's axes hold NaN or infinite values")
+    return arrays
 
 
 def _group(hinges: np.ndarray, gamma: float, weights: torch.Tensor) -> _HingeLattice | _ScatteredHinges:

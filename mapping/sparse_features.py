@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from mapping.hinge_cells import HingeCells, hinge_cells
-from mapping.kernels import blocks, dense_features, reach
+from mapping.kernels import blocks, cell_numbers, dense_features, reach
 from mapping.sparse_rows import SparseRows
 from mapping.threads import map_in_threads
 
@@ -88,8 +88,8 @@ def _by_cells(X: np.ndarray, cells: list[HingeCells], radius: float, cutoff: flo
     cell_of, terms_of = zip(*(table.locate(X) for table in cells))
     # Points that are reached by the same widths go together, and of them those that are near each other.
     kind = sum((cell >= 0).astype(np.int64) << i for i, cell in enumerate(cell_of))
-    place = np.floor((X - X.min(0)) / (LOCAL * radius)).astype(np.int64)
-    order = np.lexsort((np.ravel_multi_index(tuple(place.T), tuple(place.max(0) + 1)), kind))
+    place = np.floor((X - X.min(0)) / (LOCAL * radius))
+    order = np.lexsort((cell_numbers(place), kind))
     cell_t, terms_t = ([torch.from_numpy(a[order]) for a in arrays] for arrays in (cell_of, terms_of))
     smallest = float(np.log(cutoff))
 

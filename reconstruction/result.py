@@ -129,9 +129,15 @@ class Reconstruction:
         ]
 
     def query(self, points: np.ndarray) -> Query:
-        """What the map says at points (N, 3) [m] in the world frame."""
-        points = np.asarray(points, dtype=np.float32)
-        local = transform(invert_rigid(self.T_world_table), points)
+        """What the map says at points (N, 3) [m] in the world frame.
+
+        Raises DataError for points of another shape, NaN and infinite values.
+        """
+        from mapping.checks import checked_points
+
+        checked_points(points, dimensions=3)
+        # In double precision: world frames may have their origin thousands of kilometres away.
+        local = transform(invert_rigid(self.T_world_table), np.asarray(points, np.float64)).astype(np.float32)
         probability, occupancy, gradient = self.map.predict_occupancy(local)
         # Columns follow the observed objects: one of them may have got no mesh.
         classes = np.array([0, *(item.label for item in self.observation.objects), -1])

@@ -250,7 +250,7 @@ def test_a_broken_map_file_is_named(tmp_path, content):
 
 def test_a_pickle_in_a_map_file_is_refused(tmp_path):
     np.savez(tmp_path / "map.npz", config=np.array([{"a": 1}], dtype=object))
-    with pytest.raises(DataError, match="not a readable map"):
+    with pytest.raises(DataError, match="not a readable"):
         load_map(tmp_path / "map.npz")
 
 
