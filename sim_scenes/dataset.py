@@ -5,20 +5,22 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mapping.errors import ConfigError, DataError
+from mapping.files import write_atomically
 from perception.camera import Camera
 from perception.frame import Frame
 from perception.frame_io import save_frame
 from sim_scenes.convex_parts import build_all
-from sim_scenes.objects import builtin, random_urdfs, ycb
-from sim_scenes.objects.object_model import ObjectModel
+from sim_scenes.object_source import ObjectSource, object_source
+from sim_scenes.objects import ycb
+from sim_scenes.objects.mesh_folder import FolderConfig, MeshFolder
+from sim_scenes.objects.split import HELD_OUT_SHARE
 from sim_scenes.render import Renderer, random_cameras
 from sim_scenes.sensor_noise import noisy_depth, noisy_labels
 from sim_scenes.surroundings import Surroundings
@@ -31,50 +33,10 @@ MIN_VISIBLE_PIXELS = 200
 """Objects that show less in the first view are taken off the table before the scene is kept."""
 LOOK_AT_HEIGHT = 0.04
 """Height [m] of the point the cameras look at."""
+OBJECTS_FILE = "objects.json"
+"""Beside scenes of a folder of meshes: which objects could be drawn, and which are in the scenes."""
 ATTEMPTS = 20
 """Tries to compose a scene with enough objects before giving up."""
-
-
-@dataclass(frozen=True)
-class ObjectSource:
-    """A set of objects to draw from. draw(count, rng) gives models; ycb_dir: where scans came from."""
-
-    kind: str
-    draw: Callable[[int, np.random.Generator], list[ObjectModel]]
-    ycb_dir: Path | None = None
-
-
-def object_source(objects: str = "auto", ycb_dir: str | Path | None = None) -> ObjectSource:
-    """Objects to put on tables: "ycb" scans, "builtin" shapes, "figures" of blocks (they ship with pybullet;
-    no training set holds them), or "auto": scans if found, else built-in.
-
-    Raises ConfigError for another word and DataError when scans are asked for and not found.
-    """
-    if objects not in ("auto", "ycb", "builtin", "figures"):
-        raise ConfigError(f"objects: {objects!r} is unknown; valid: auto, ycb, builtin, figures")
-    if objects == "figures":
-        return ObjectSource("figures", random_urdfs.draw)
-    folder = None if objects == "builtin" else ycb.find_ycb(ycb_dir)
-    if folder is None and objects == "ycb":
-        raise DataError(
-            "no YCB scans found; name their folder with --ycb DIR or YCB_DIR, download them with "
-            "`contramap fetch ycb`, or use --objects builtin"
-        )
-    if folder is None:
-        return ObjectSource("builtin", builtin.draw)
-    names = ycb.list_models(folder)
-
-    def draw(count: int, rng: np.random.Generator) -> list[ObjectModel]:
-        chosen: list[ObjectModel] = []
-        for index in rng.permutation(len(names)):
-            model = ycb.load_ycb(folder, names[index])
-            if model.connected:  # transparent bottles were scanned in pieces
-                chosen.append(model)
-            if len(chosen) == count:
-                break
-        return chosen
-
-    return ObjectSource("ycb", draw, folder)
 
 
 def generate(
@@ -87,9 +49,11 @@ def generate(
     sensor_noise: bool = False,
     label_noise: bool = False,
     progress: bool = True,
+    folder: FolderConfig | None = None,
 ) -> list[Path]:
     """Make `count` scenes below `out`, named scene_0000 and on; finished ones of the same settings are kept.
 
+    folder: which objects, where `objects` is a folder of meshes; OUT/objects.json then records the choice.
     Scene i depends on (seed, i) and the settings alone. Returns the scene folders.
     Raises ConfigError for senseless arguments or a folder whose scenes were made with other settings.
     """
@@ -97,19 +61,23 @@ def generate(
 
     if count < 1 or views < 1:
         raise ConfigError(f"count and views must be at least 1, got count={count}, views={views}")
-    source = object_source(objects, ycb_dir)
-    settings = {
+    source = object_source(objects, ycb_dir, folder)
+    settings: dict[str, Any] = {
         "seed": seed,
         "objects": source.kind,
         "views": views,
         "sensor_noise": sensor_noise,
         "label_noise": label_noise,
     }
+    if source.folder is not None:
+        settings["objects_of"] = source.folder.record()
     folders = [Path(out) / f"scene_{index:04d}" for index in range(count)]
     todo = [index for index, folder in enumerate(folders) if not _finished(folder, settings)]
     for index in tqdm(todo, desc="scenes", disable=not progress):
         rng = np.random.default_rng([seed, index])
         make_scene(folders[index], source, rng, settings, progress)
+    if source.folder is not None and todo:
+        _write_choice(Path(out) / OBJECTS_FILE, source.folder, folders)
     return folders
 
 
@@ -234,6 +202,19 @@ def _write_truth(
         "objects": objects,
     }
     (folder / TRUTH_FILE).write_text(json.dumps(truth, indent=1) + "\n")
+
+
+def _write_choice(path: Path, folder: MeshFolder, scenes: Sequence[Path]) -> None:
+    """Record the objects that could be drawn, those in the scenes, and those passed over with the reason."""
+    truths = [json.loads((scene / TRUTH_FILE).read_text()) for scene in scenes]
+    choice = {
+        **folder.record(),
+        "held_out_share": HELD_OUT_SHARE,
+        "candidates": sorted(folder.files),
+        "in_scenes": sorted({item["name"] for truth in truths for item in truth["objects"]}),
+        "passed_over": dict(sorted(folder.refused.items())),
+    }
+    write_atomically(path, (json.dumps(choice, indent=1) + "\n").encode())
 
 
 def _finished(folder: Path, settings: dict[str, Any]) -> bool:

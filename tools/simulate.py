@@ -15,6 +15,9 @@ def scenes(
     seed: int = 0,
     objects: str = "auto",
     ycb: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    part: str = "all",
+    only: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    max_size: float | None = None,
     views: int = 1,
     sensor_noise: bool = False,
     label_noise: bool = False,
@@ -22,21 +25,28 @@ def scenes(
     """Simulate tabletop scenes with known truth, settled by physics.
 
     Example: contramap scenes scenes100 --count 100 --seed 0 --objects ycb --views 3
+    Example: contramap scenes cups --count 20 --objects my_meshes --part held-out --max-size 0.2
 
     Args:
         out: Folder for scene_0000, scene_0001, ...; finished scenes are kept, so a stopped run goes on.
         count: Scenes.
         seed: Scene i depends on the seed and i alone.
         objects: ycb (real scans), builtin (procedural and shipped shapes), figures (of blocks; they ship with
-            pybullet and no training set holds them), or auto: scans where found.
+            pybullet and no training set holds them), or auto: scans where found. Or a folder: all .ply, .obj
+            and .glb meshes below it, closed, in metres, standing upright (z up; y up in .glb).
         ycb: Folder of YCB scans; otherwise YCB_DIR, ../shared/data/ycb and the download folder are tried.
+        part: Of a folder's objects: all, train or held-out, by name; the prior never learns from held-out.
+        only: Of a folder's objects: those named in this text file, one a line.
+        max_size: Of a folder's objects: none with a longer side than this [m].
         views: Cameras around each scene; the first is the scene folder itself.
         sensor_noise: Give the depth a real camera's errors.
         label_noise: Erode, dilate and leak the instance masks.
     """
     from sim_scenes.dataset import generate
+    from sim_scenes.objects.mesh_folder import FolderConfig
 
-    folders = generate(out, count, seed, objects, ycb, views, sensor_noise, label_noise)
+    chosen = FolderConfig(part, only, max_size)
+    folders = generate(out, count, seed, objects, ycb, views, sensor_noise, label_noise, folder=chosen)
     print(f"{len(folders)} scenes in {out}")
 
 
