@@ -6,13 +6,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mapping.contramap import ContraMap, MapConfig
+    from mapping.config import MapConfig
+    from mapping.contramap import ContraMap
     from mapping.errors import ConfigError, ContraMapError, DataError, FrameError
     from mapping.model_io import load_map
 
 _HOME = {
     "ContraMap": "mapping.contramap",
-    "MapConfig": "mapping.contramap",
+    "MapConfig": "mapping.config",
     "load_map": "mapping.model_io",
     "ContraMapError": "mapping.errors",
     "ConfigError": "mapping.errors",

@@ -7,7 +7,6 @@ This module knows points and classes; it knows nothing of cameras, images, objec
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -21,48 +20,24 @@ from mapping.checks import (
     checked_points,
     checked_widths,
 )
+from mapping.config import MapConfig, ModelConfig
 from mapping.errors import ConfigError, DataError
+from mapping.hinges import grid_around
 from mapping.kernels import PREDICT_CUTOFF, blocks, dense_features
 from mapping.lattice import LatticeEvaluator
 from mapping.preconditioner import sparse_factor
-from mapping.softmax import FitConfig, FitReport, fit_softmax
-from mapping.sparse_features import FIT_CUTOFF, sparse_features
+from mapping.softmax import FitReport, fit_softmax
+from mapping.sparse_features import sparse_features
 
 REACHED = 0.05
 """A sample whose strongest feature is below this is out of the hinge points' reach."""
 
 
-@dataclass(frozen=True)
-class MapConfig:
-    """The model: kernel width, penalty, and what it answers where nothing was seen."""
-
-    gamma: float = 1000.0
-    """Kernel width: phi = exp(-gamma d^2), in 1/m^2 for points in metres."""
-    hinge_spacing: float = 0.05
-    """Spacing of the default hinge grid [m], used when fit() is given no hinge points."""
-    l2: float = 1e-6
-    """Weight of the squared norm of W beside the mean cross-entropy."""
-    far_uncertainty: float | None = 0.95
-    """p(uncertain) out of reach of every hinge point; None gives every class the same share there."""
-    empty_log_odds: float | None = None
-    """Log odds of class 0 against the other known classes where the kernels vanish; None: all equal."""
-    fit_cutoff: float = FIT_CUTOFF
-    """Features below this are dropped while fitting; predictions keep all that matter."""
-    fit: FitConfig = field(default_factory=FitConfig)
-    """How the loss is minimised."""
-    device: str = "auto"
-    """cpu, cuda, or auto (cuda when there is one)."""
-
-
 class ContraMap:
     """Softmax over W^T phi(x) with classes 0..C-1 and the uncertain class C, always the last column."""
 
-    def __init__(self, config: MapConfig | None = None):
+    def __init__(self, config: ModelConfig | None = None):
         self.config = config or MapConfig()
-        if not self.config.gamma > 0:
-            raise ConfigError(f"gamma must be > 0, got {self.config.gamma}")
-        if self.config.far_uncertainty is not None and not 0 < self.config.far_uncertainty < 1:
-            raise ConfigError(f"far_uncertainty must lie between 0 and 1, got {self.config.far_uncertainty}")
         self.device = _device(self.config.device)
         self.report = FitReport()
         self.hinges = np.empty((0, 0), np.float32)
@@ -98,11 +73,13 @@ class ContraMap:
         if weights.shape != (len(X),) or not (weights > 0).all():
             raise DataError(f"weights must be {len(X)} numbers > 0, got shape {weights.shape}")
         if hinges is None:
-            check_grid(X, self.config.hinge_spacing)
-        self.hinges = _grid_around(X, self.config.hinge_spacing) if hinges is None else checked_points(hinges)
+            check_grid(X, self._own_grid().hinge_spacing)
+            self.hinges = grid_around(X, self._own_grid().hinge_spacing)
+        else:
+            self.hinges = checked_points(hinges)
         if self.hinges.shape[1] != X.shape[1]:
             raise DataError(f"hinge points have {self.hinges.shape[1]} coordinates, points have {X.shape[1]}")
-        width = self.config.gamma if gamma is None else gamma
+        width = self._own_grid().gamma if gamma is None else gamma
         self.gamma = checked_widths(width, len(self.hinges))
         check_resolution(X, self.gamma)
         self.offset = self._offset(count)
@@ -129,6 +106,12 @@ class ContraMap:
     def predict_proba(self, X: np.ndarray) -> np.ndarray:
         """Class probabilities (N, C+1) float32 at points (N, d); the uncertain class is last."""
         return torch.softmax(self.logits(X), dim=1).cpu().numpy()
+
+    def predict_known(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Probabilities (N, C) among the classes other than "uncertain", and p(uncertain) (N,)."""
+        logits = self.logits(X)
+        structure = torch.softmax(logits[:, :-1], 1)
+        return structure.cpu().numpy(), torch.softmax(logits, 1)[:, -1].cpu().numpy()
 
     def logits(self, X: np.ndarray) -> torch.Tensor:
         """Logits (N, C+1) at points (N, d)."""
@@ -188,6 +171,11 @@ class ContraMap:
         self._check_fitted()
         return checked_points(X, dimensions=self.hinges.shape[1])
 
+    def _own_grid(self) -> MapConfig:
+        if not isinstance(self.config, MapConfig):
+            raise ConfigError("fit() needs hinges and gamma, or a MapConfig that says how to make them")
+        return self.config
+
     def _offset(self, count: int) -> torch.Tensor:
         # Kernels vanish far away and leave softmax(offset): fixed, not fitted, so that a query out of reach
         # of every hinge point answers "uncertain" however the training data were balanced.
@@ -207,14 +195,7 @@ class ContraMap:
 
 
 def _device(name: str) -> torch.device:
-    if name not in ("auto", "cpu", "cuda"):
-        raise ConfigError(f"device must be auto, cpu or cuda, got {name!r}")
-    available = name != "cpu" and torch.cuda.is_available()
-    if name == "cuda" and not available:
+    # "auto" is the CPU: no test has yet shown that a graphics card answers the same, or sooner.
+    if name == "cuda" and not torch.cuda.is_available():
         raise ConfigError("device cuda was asked for, but torch finds no CUDA device; use auto or cpu")
-    return torch.device("cuda" if available else "cpu")
-
-
-def _grid_around(X: np.ndarray, spacing: float) -> np.ndarray:
-    axes = [np.arange(low, high + spacing, spacing) for low, high in zip(X.min(0), X.max(0))]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, X.shape[1]).astype(np.float32)
+    return torch.device("cuda" if name == "cuda" else "cpu")

@@ -14,6 +14,12 @@ def lattice_in_box(low: np.ndarray, high: np.ndarray, spacing: float) -> np.ndar
     return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, len(axes)).astype(np.float32)
 
 
+def grid_around(X: np.ndarray, spacing: float) -> np.ndarray:
+    """A grid (H, d) float32 that covers the box of points X (N, d), starting at its lower corner."""
+    axes = [np.arange(low, high + spacing, spacing) for low, high in zip(X.min(0), X.max(0))]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, X.shape[1]).astype(np.float32)
+
+
 def lattice_near_centres(centres: np.ndarray, radius: float, spacing: float) -> np.ndarray:
     """Lattice points (H, d) within `radius` of any centre (M, d)."""
     lattice = lattice_in_box(centres.min(0) - radius, centres.max(0) + radius, spacing)

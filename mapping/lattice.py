@@ -77,6 +77,14 @@ class LatticeEvaluator:
             threads.map(fill, np.ndindex(*(-(-n // side) for n in shape)))
         return out
 
+    def share(self, axes: Axes, column: int, known: int) -> np.ndarray:
+        """P(class `column`) float32 among the first `known` classes, at every node: (*lattice)."""
+        return torch.softmax(self(axes)[:known], 0)[column].cpu().numpy()
+
+    def largest(self, axes: Axes) -> np.ndarray:
+        """The class (*lattice) with the largest logit at every node."""
+        return self(axes).argmax(0).cpu().numpy()
+
     def on(self, axes: Axes) -> MapOnLattice:
         """The map on the lattice spanned by d coordinate arrays that rise, to be asked block by block."""
         axes = _checked(axes, self.dimensions)

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from mapping.contramap import ContraMap, MapConfig
-from mapping.errors import DataError
+from mapping.config import FitConfig, MapConfig
+from mapping.contramap import ContraMap
+from mapping.errors import ConfigError, DataError
 from mapping.files import temporary_beside
 from mapping.guarded_files import line, parse_json, read_npz
-from mapping.softmax import FitConfig, FitReport
+from mapping.softmax import FitReport
 
 FORMAT = 1
 NAMES = ("format", "hinges", "gamma", "W", "offset", "losses", "converged", "config")
@@ -58,7 +59,7 @@ def load_map(path: str | Path, device: str = "auto") -> ContraMap:
         settings = parse_json(str(values["config"]))
         fit = FitConfig(**settings.pop("fit"))
         model = ContraMap(MapConfig(**{**settings, "fit": fit, "device": device}))
-    except (KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
+    except (ConfigError, KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise DataError(
             f"{path}: its settings cannot be read ({line(error)}); save it again with ContraMap.save"
         ) from error

@@ -12,6 +12,7 @@ from math import isfinite
 
 import torch
 
+from mapping.config import FitConfig
 from mapping.preconditioner import SparseFactor
 from mapping.sparse_features import SparseFeatures
 from mapping.sparse_rows import SparseRows
@@ -24,18 +25,6 @@ many times as kernels overlap."""
 ROW_COST = 8
 """What a sample's share in the loss takes of the time, in features of its row: far from objects rows are
 short, and threads that had as many features each would not end at once."""
-
-
-@dataclass(frozen=True)
-class FitConfig:
-    """How the convex loss is minimised."""
-
-    max_iterations: int = 200
-    """Upper limit of quasi-Newton steps."""
-    tolerance: float = 1e-4
-    """Stop when the mean loss [nats] fell by less than this a step, on average over the last 3 steps."""
-    memory: int = 8
-    """Pairs of steps that L-BFGS remembers."""
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,6 @@ from mapping.kernels import blocks, cell_numbers, dense_features, reach
 from mapping.sparse_rows import SparseRows
 from mapping.threads import map_in_threads
 
-FIT_CUTOFF = 3e-3
-"""Features below this are dropped while fitting, where nothing else is said."""
 CANDIDATES = 2**18
 """Pairs of a point and a hinge point that are looked at in one go: they fit the processor's cache."""
 LOCAL = 0.5

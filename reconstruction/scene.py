@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from dataclasses import replace
+from itertools import pairwise
 from time import perf_counter
 
 import numpy as np
+import trimesh
 
-from mapping.contramap import ContraMap
 from mapping.errors import DataError
 from perception.camera import transform
 from perception.frame import Frame
-from perception.observation import Observation, ObservedObject, Skipped
-from perception.observe import observe
-from perception.space import Space
+from perception.observation import ObservedObject, Skipped
 from reconstruction.config import PipelineConfig
+from reconstruction.fitted_scene import FittedScene, Surface
 from reconstruction.result import ObjectField, ReconstructedObject, Reconstruction
-from reconstruction.surface.field import Field, evaluate_field, overlap, window_of, within
-from reconstruction.surface.meshing import extract_mesh
+from reconstruction.surface.field import Field, overlap, window_of, within
+
+STAGES = {
+    "observation": "observe",
+    "space": "space",
+    "samples": "samples",
+    "map": "fit",
+    "field": "field",
+    "meshes": "mesh",
+}
+"""Step of the scene -> the name its time is reported under."""
 
 
 def reconstruct(frame: Frame, config: PipelineConfig | None = None, seed: int = 0) -> Reconstruction:
@@ -26,86 +34,52 @@ def reconstruct(frame: Frame, config: PipelineConfig | None = None, seed: int = 
 
     frame: from perception.load_frame. config: see reconstruction.config.preset. seed: same seed, same
     meshes to the byte on one machine. Objects that cannot be mapped are listed in `skipped`, with the
-    reason. Raises FrameError when the frame shows no usable object.
+    reason. Raises FrameError when the frame shows no usable object, ConfigError for a negative seed.
     """
     import open3d  # noqa: F401  # loaded before the clock starts: its first import takes a second
 
-    config = config or PipelineConfig()
-    timings: dict[str, float] = {}
-    rng = np.random.default_rng(seed)
+    scene = FittedScene.of(frame, config or PipelineConfig(), seed)
+    marks = [perf_counter()]
+    for step in STAGES:
+        getattr(scene, step)
+        marks.append(perf_counter())
+    result = deliver(scene)
+    marks[-1] = perf_counter()  # placing the meshes in the world belongs to the last stage
+    timings = {stage: 1e3 * (b - a) for stage, (a, b) in zip(STAGES.values(), pairwise(marks))}
+    return replace(result, timings_ms={**timings, "total": 1e3 * (marks[-1] - marks[0])})
 
-    with _timed(timings, "observe"):
-        observation = observe(frame, config.perception, seed)
-    with _timed(timings, "space"):
-        space = Space.of(observation)
-    with _timed(timings, "samples"):
-        training = config.samples.draw(observation, space, rng)
-    with _timed(timings, "fit"):
-        model = ContraMap(config.map).fit(
-            training.X, training.y, hinges=training.hinges, gamma=training.gamma
-        )
-    with _timed(timings, "field"):
-        lows, highs = object_space(observation, config.mesh.margin)
-        floor = object_floor(observation, config)
-        field = evaluate_field(model, lows, highs, config.mesh.spacing, floor, config.mesh.confined)
+
+def deliver(scene: FittedScene) -> Reconstruction:
+    """What a scene says of its objects, placed in the world frame. Raises DataError when it has none."""
+    observation, frame = scene.observation, scene.frame
     T_world_table = frame.camera.T_world_camera @ np.linalg.inv(observation.T_table_camera)
     objects: list[ReconstructedObject] = []
     fields: list[ObjectField] = []
     skipped = list(observation.skipped)
-    with _timed(timings, "mesh"):
-        for index, item in enumerate(observation.objects):
-            extracted = extract_mesh(field, index, config.mesh, item.points)
-            if extracted is None:
-                skipped.append(
-                    Skipped(item.label, item.name, "the map gives it no volume at this resolution")
-                )
-                continue
-            mesh, uncertainty = extracted
-            fields.append(_object_field(field, index, item, mesh.bounds))
-            objects.append(_place(mesh, uncertainty, item, index + 1, T_world_table))
+    for index, (item, surface) in enumerate(zip(observation.objects, scene.meshes)):
+        if surface is None:
+            skipped.append(Skipped(item.label, item.name, "the map gives it no volume at this resolution"))
+            continue
+        fields.append(_object_field(scene.field, index, item, surface.mesh.bounds))
+        objects.append(_place(surface, item, index + 1, T_world_table))
     if not objects:
-        raise DataError(f"{frame.source}: no object has volume at a spacing of {config.mesh.spacing} m")
-    timings["total"] = sum(timings.values())
+        raise DataError(f"{frame.source}: no object has volume at a spacing of {scene.config.mesh.spacing} m")
     return Reconstruction(
         frame=frame,
         observation=observation,
         objects=tuple(objects),
         fields=tuple(fields),
-        map=model,
+        map=scene.map,
         T_world_table=T_world_table,
-        samples=training.X,
-        sample_classes=training.y.argmax(1),
-        timings_ms=timings,
+        samples=scene.samples.X,
+        sample_classes=scene.samples.y.argmax(1),
+        timings_ms={},
         skipped=tuple(skipped),
         notes=observation.notes,
-        config=config.as_dict(),
-        seed=seed,
-        floor=floor,
+        config=scene.config.as_dict(),
+        seed=scene.seed,
+        floor=scene.floor,
     )
-
-
-@contextmanager
-def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
-    start = perf_counter()
-    yield
-    timings[stage] = (perf_counter() - start) * 1e3
-
-
-def object_space(observation: Observation, margin: float) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes (K, 3), (K, 3) [m] in the table frame that hold every place where an object can be.
-
-    What is hidden of an object reaches no further than `margin` beyond what is seen of it.
-    """
-    lows, highs = (np.array(b) for b in zip(*(o.bounds for o in observation.objects)))
-    lows, highs = lows - margin, highs + margin
-    if observation.support is not None:
-        lows[:, 2] = np.maximum(lows[:, 2], -0.02)
-    return lows, highs
-
-
-def object_floor(observation: Observation, config: PipelineConfig) -> float | None:
-    """Height [m] in the table frame below which no object can be; None when no support was found."""
-    return config.mesh.floor if observation.support is not None else None
 
 
 def _object_field(field: Field, index: int, item: ObservedObject, bounds: np.ndarray) -> ObjectField:
@@ -123,16 +97,19 @@ def _object_field(field: Field, index: int, item: ObservedObject, bounds: np.nda
     )
 
 
-def _place(mesh, uncertainty, item: ObservedObject, class_index: int, T_world_table) -> ReconstructedObject:
+def _place(
+    surface: Surface, item: ObservedObject, class_index: int, T_world_table: np.ndarray
+) -> ReconstructedObject:
     """The object in the world frame, with its upright box of least footprint."""
-    T_table_object, extents = upright_box(np.asarray(mesh.vertices))
-    mesh.vertices = transform(T_world_table, np.asarray(mesh.vertices))
+    local = np.asarray(surface.mesh.vertices)
+    T_table_object, extents = upright_box(local)
+    mesh = trimesh.Trimesh(transform(T_world_table, local), surface.mesh.faces, process=False)
     return ReconstructedObject(
         label=item.label,
         name=item.name,
         class_index=class_index,
         mesh=mesh,
-        uncertainty=uncertainty,
+        uncertainty=surface.uncertainty,
         T_world_object=T_world_table @ T_table_object,
         extents=extents,
     )

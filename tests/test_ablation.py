@@ -11,7 +11,8 @@ from benchmark_scenes import write_scenes
 
 from mapping.errors import ConfigError
 from perception.space import Region
-from reconstruction.samples.tabletop import TabletopSamples
+from reconstruction.config import TabletopSamples
+from reconstruction.samples.tabletop import draw_tabletop
 from reconstruction.samples.training_set import TrainingSet
 from tools.ablation import ablation, single_factors, two_factors, variant
 from tools.evaluation.case import Case, load_case
@@ -32,7 +33,7 @@ def test_noise_moves_and_keeps_its_mass(case: Case) -> None:
     shares, mass = {}, {}
     for noise in ("occluded", "near", "everywhere"):
         samples = TabletopSamples(noise=noise, prior="none")  # type: ignore[arg-type]
-        training = samples.draw(case.observation, case.space, np.random.default_rng(0))
+        training = draw_tabletop(samples, case.observation, case.space, np.random.default_rng(0))
         uncertain = training.y[:, -1] if noise == "occluded" else training.y[:, -1] == 1
         free = case.space.classify(training.X) == Region.FREE
         shares[noise] = uncertain[free].sum() / uncertain.sum()
@@ -45,7 +46,7 @@ def test_noise_moves_and_keeps_its_mass(case: Case) -> None:
 
 def test_without_pairs_objects_are_sampled_on_their_surface(case: Case) -> None:
     on, off = (
-        TabletopSamples(pairs=pairs).draw(case.observation, case.space, np.random.default_rng(0))
+        draw_tabletop(TabletopSamples(pairs=pairs), case.observation, case.space, np.random.default_rng(0))
         for pairs in (True, False)
     )
     assert len(off.X) < len(on.X)

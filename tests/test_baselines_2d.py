@@ -16,7 +16,8 @@ from mapping.baselines.hilbert import HilbertMap
 from mapping.baselines.mc_dropout import McDropout
 from mapping.baselines.residual_network import NetworkConfig
 from mapping.baselines.sngp import Sngp
-from mapping.contramap import ContraMap, MapConfig
+from mapping.config import MapConfig
+from mapping.contramap import ContraMap
 from mapping.errors import ConfigError, DataError
 from sim_scenes.toy2d import ToyConfig, ToySet, make_toy_set
 

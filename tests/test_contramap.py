@@ -6,8 +6,8 @@ import torch
 from sklearn.linear_model import LogisticRegression
 
 from mapping import ConfigError, ContraMap, DataError, MapConfig, load_map
+from mapping.config import FitConfig
 from mapping.kernels import dense_features
-from mapping.softmax import FitConfig
 
 CLASSES = 4
 

@@ -23,8 +23,9 @@ from tools.evaluation.answers import Answers, ask, coarse_answers
 from tools.evaluation.case import Case, load_case
 from tools.evaluation.command import evaluate, find_scenes, finish
 from tools.evaluation.engine import run_local, run_ray
+from tools.evaluation.fitted_map import FittedMap
 from tools.evaluation.job import Job, Run, run_job
-from tools.evaluation.methods import METHODS, FittedMap
+from tools.evaluation.methods import METHODS
 from tools.evaluation.protocol import coarse_protocol, mesh_iou
 from tools.evaluation.statistics import (
     aurc,
@@ -173,7 +174,7 @@ def test_distance_to_samples() -> None:
     "name", ["contramap", "contramap-paper", "hilbert", "vprism", "vprism-dense", "bayesian-hilbert"]
 )
 def test_every_map_finds_the_objects(case: Case, name: str) -> None:
-    fitted = METHODS[name](case.observation, case.space, np.random.default_rng(0))
+    fitted = METHODS[name].fit(case.view, np.random.default_rng(0))
     points = np.concatenate([item.points[::50] for item in case.observation.objects])
     probability, uncertainty = fitted.predict(points.astype(np.float32))
     assert probability.shape == (len(points), 3)

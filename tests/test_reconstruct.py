@@ -9,13 +9,13 @@ from conftest import make_tabletop
 from solids import reconstructed_tabletop, true_meshes
 
 from mapping import ConfigError, FrameError
+from mapping.settings import override
 from perception.camera import Camera, transform
 from perception.space import Region, Space
 from reconstruction import preset, reconstruct
-from reconstruction.config import override
+from reconstruction.config import MeshConfig, TabletopLabels
 from reconstruction.metrics import chamfer, inside
-from reconstruction.samples.labels import TabletopLabels
-from reconstruction.surface.meshing import MeshConfig
+from reconstruction.samples import labels as label_rules
 from tools.evaluation.statistics import auroc
 
 SIZE = (240, 180)
@@ -113,7 +113,7 @@ def test_labels_of_hidden_samples_are_as_uncertain_as_their_guess_is_likely_wron
     rules = TabletopLabels()
     chance = np.linspace(1, 1 / 3, 20)  # of the likeliest of three classes
     structure = np.column_stack([chance, (1 - chance) / 2, (1 - chance) / 2])
-    labels = rules.hidden(structure)
+    labels = label_rules.hidden(rules, structure)
     np.testing.assert_allclose(labels.sum(1), 1, atol=1e-6)
     np.testing.assert_allclose(labels[:, :-1] / labels[:, :-1].sum(1, keepdims=True), structure, atol=1e-6)
     assert (np.diff(labels[chance > 0.5, -1]) > 0).all()
@@ -122,7 +122,7 @@ def test_labels_of_hidden_samples_are_as_uncertain_as_their_guess_is_likely_wron
 
 def test_doubt_behind_a_surface_goes_to_uncertain_and_to_no_other_class():
     rules = TabletopLabels()
-    labels = rules.pair(np.array([2, 2, 1]), np.array([0.0, 0.6, 1.0]), 3)
+    labels = label_rules.pair(rules, np.array([2, 2, 1]), np.array([0.0, 0.6, 1.0]), 3)
     np.testing.assert_allclose(labels.sum(1), 1, atol=1e-6)
     assert ((labels[:, :3] > 0) == np.eye(3, dtype=bool)[[2, 2, 1]]).all()
     assert labels[0, -1] == pytest.approx(rules.pair_uncertain)
@@ -130,14 +130,14 @@ def test_doubt_behind_a_surface_goes_to_uncertain_and_to_no_other_class():
 
 
 def test_a_wall_keeps_its_thickness_however_much_it_is_doubted():
-    labels = TabletopLabels().wall(np.array([1, 2, 1]), np.array([0.0, 0.8, 1.0]), 3)
+    labels = label_rules.wall(TabletopLabels(), np.array([1, 2, 1]), np.array([0.0, 0.8, 1.0]), 3)
     np.testing.assert_allclose(labels.sum(1), 1, atol=1e-6)
     assert ((labels[:, :3] > 0) == np.eye(3, dtype=bool)[[1, 2, 1]]).all()
     assert (np.diff(labels[:, -1]) > 0).all()
 
 
 def test_under_a_hidden_foot_nothing_is_but_how_sure_follows_what_stands_there():
-    labels = TabletopLabels().foot(np.array([[1.0, 0.0, 0.0], [0.5, 0.5, 0.0]]))
+    labels = label_rules.foot(TabletopLabels(), np.array([[1.0, 0.0, 0.0], [0.5, 0.5, 0.0]]))
     np.testing.assert_allclose(labels.sum(1), 1, atol=1e-6)
     assert (labels[:, 1:-1] == 0).all()
     assert labels[1, -1] > labels[0, -1]
@@ -260,7 +260,7 @@ def field_of(log_odds: np.ndarray):
 
 
 def test_an_enclosed_hollow_is_filled():
-    from reconstruction.surface.meshing import MeshConfig, extract_mesh
+    from reconstruction.surface.meshing import extract_mesh
 
     axis = np.arange(-20, 21)
     radius = np.sqrt(sum(c**2 for c in np.meshgrid(axis, axis, axis, indexing="ij")))
@@ -287,7 +287,7 @@ def plate(thickness: float, height: float):
 
 
 def test_a_thing_thinner_than_a_cell_stays_whole():
-    from reconstruction.surface.meshing import MeshConfig, extract_mesh
+    from reconstruction.surface.meshing import extract_mesh
 
     field, top = plate(thickness=0.002, height=0.0525)  # between the nodes at 50 and 55 mm
     assert extract_mesh(field, 0, MeshConfig()) is None
@@ -302,7 +302,7 @@ def test_a_thing_thinner_than_a_cell_stays_whole():
 
 
 def test_a_seen_point_where_the_map_rules_an_object_out_leaves_no_trace():
-    from reconstruction.surface.meshing import MeshConfig, extract_mesh
+    from reconstruction.surface.meshing import extract_mesh
 
     field, _ = plate(thickness=0.012, height=0.05)
     field.log_odds[0][field.log_odds[0] < -2] = -9
@@ -314,16 +314,16 @@ def test_a_seen_point_where_the_map_rules_an_object_out_leaves_no_trace():
 
 @pytest.mark.parametrize("shape", [(0, 0, 0), (1, 5, 5)])
 def test_an_object_that_the_map_finds_nowhere_is_no_error(shape):
-    from reconstruction.surface.meshing import MeshConfig, extract_mesh
+    from reconstruction.surface.meshing import extract_mesh
 
     field = field_of(np.full(shape, -9, np.float32))
     assert extract_mesh(field, 0, MeshConfig(), np.full((3, 3), 0.001)) is None
 
 
 def test_an_object_in_empty_air_has_an_empty_window(result):
-    from reconstruction.scene import object_space
+    from reconstruction.fitted_scene import object_space
     from reconstruction.surface.field import evaluate_field
-    from reconstruction.surface.meshing import MeshConfig, extract_mesh
+    from reconstruction.surface.meshing import extract_mesh
 
     lows, highs = object_space(result.observation, 0.1)
     free = result.samples[result.sample_classes == 0]
@@ -335,14 +335,14 @@ def test_an_object_in_empty_air_has_an_empty_window(result):
 
 
 def test_points_outside_the_lattice_are_no_error():
-    from reconstruction.surface.meshing import MeshConfig, extract_mesh
+    from reconstruction.surface.meshing import extract_mesh
 
     field, _ = plate(thickness=0.012, height=0.05)
     assert extract_mesh(field, 0, MeshConfig(), np.full((3, 3), 9.0)) is not None
 
 
 def test_windows_hold_all_that_the_map_gives_an_object(result):
-    from reconstruction.scene import object_space
+    from reconstruction.fitted_scene import object_space
     from reconstruction.surface.field import evaluate_field
 
     spacing = 0.005

@@ -19,9 +19,9 @@ NOISE = ("occluded", "near", "everywhere")
 PRIOR = ("learned", "none")
 HINGES = {
     "5, 2.5, 1.25 cm, 6 mm on thin walls": "",
-    "5, 2.5 and 1.25 cm": "thin_spacing=0",
-    "5 and 2.5 cm": "thin_spacing=0,finest_distance=-1",
-    "5 and 3.5 cm": "thin_spacing=0,finest_distance=-1,fine_spacing=0.035,fine_gamma=1020",
+    "5, 2.5 and 1.25 cm": "thin_spacing=null",
+    "5 and 2.5 cm": "thin_spacing=null,finest_distance=null",
+    "5 and 3.5 cm": "thin_spacing=null,finest_distance=null,fine_spacing=0.035,fine_gamma=1020",
 }
 COLUMNS = {
     "iou": "IoU",

@@ -13,6 +13,7 @@ from typing import Annotated
 import tyro
 
 from mapping.errors import ConfigError
+from reconstruction.config import TABLETOP, PipelineConfig, PresetName
 from tools.options import pipeline_config, write_json
 
 
@@ -20,12 +21,13 @@ def latency(
     *,
     frame: Path,
     repeat: int = 7,
-    preset: str = "tabletop",
-    prior: str = "learned",
-    device: str = "auto",
+    preset: PresetName = "tabletop",
+    prior: str | None = None,
+    device: str | None = None,
     seed: int = 0,
     set: tuple[str, ...] = (),
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    settings: Annotated[PipelineConfig, tyro.conf.arg(name="")] = TABLETOP,
 ) -> None:
     """Time the pipeline from a frame in memory to meshes in memory; medians over repeats.
 
@@ -38,8 +40,9 @@ def latency(
         prior: learned or none.
         device: cpu, cuda or auto.
         seed: Seed of every run.
-        set: Single settings, such as mesh.spacing=0.003.
+        set: Settings as text, such as mesh.spacing=0.003; the same as --mesh.spacing 0.003.
         json: Also write the figures to this file.
+        settings: Every setting of the pipeline; the defaults are those of --preset.
     """
     import torch
 
@@ -48,7 +51,7 @@ def latency(
 
     if repeat < 1:
         raise ConfigError(f"--repeat must be at least 1, got {repeat}")
-    config = pipeline_config(preset, device, prior, set)
+    config = pipeline_config(settings, texts=set, device=device, prior=prior)
     runs: list[dict[str, float]] = []
     for _ in range(repeat + 1):
         start = perf_counter()

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from tools.benchmark import latency
+from tools.command_line import parse, with_preset
 from tools.demo import demo
 from tools.evaluation.command import evaluate
 from tools.exit_code import exit_code
@@ -61,16 +62,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: list[str]) -> None:
-    import tyro
-
     group = arguments[0] if arguments and arguments[0] in GROUPS else None
-    tyro.extras.subcommand_cli_from_dict(
-        GROUPS[group] if group else COMMANDS,
+    commands = GROUPS[group] if group else COMMANDS
+    call = parse(
+        {name: with_preset(command, arguments) for name, command in commands.items()},
         prog=f"contramap {group}" if group else "contramap",
         description=COMMANDS[group].__doc__ if group else DESCRIPTION,
-        args=arguments[1:] if group else arguments,
-        config=(tyro.conf.FlagCreatePairsOff,),
+        arguments=arguments[1:] if group else arguments,
     )
+    call()
 
 
 if __name__ == "__main__":

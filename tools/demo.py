@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import tyro
 
+from reconstruction.config import PresetName
+from reconstruction.config import preset as make_preset
 from tools.map_frame import print_summary
-from tools.options import pipeline_config, write_json
+from tools.options import write_json
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -24,7 +26,7 @@ def demo(
     seed: int = 0,
     objects: str = "auto",
     ycb: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
-    preset: str = "tabletop",
+    preset: PresetName = "tabletop",
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> None:
     """Simulate a tabletop scene, map its first view, and compare the meshes with the truth.
@@ -45,7 +47,7 @@ def demo(
     from sim_scenes.dataset import generate
     from sim_scenes.truth import load_truth
 
-    config = pipeline_config(preset)
+    config = make_preset(preset)
     check_output(out / "result", overwrite=True)
     print("simulating a scene ...")
     shutil.rmtree(out / "scene_0000", ignore_errors=True)

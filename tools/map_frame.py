@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from mapping.errors import ConfigError
+from reconstruction.config import TABLETOP, PipelineConfig, PresetName
 from tools.options import pipeline_config
 
 if TYPE_CHECKING:
@@ -26,9 +27,9 @@ def map_frame(
         tuple[float, float, float, float] | None, tyro.conf.arg(metavar="FX FY CX CY")
     ] = None,
     depth_scale: Annotated[float | None, tyro.conf.arg(metavar="M")] = None,
-    preset: str = "tabletop",
-    prior: str = "learned",
-    device: str = "auto",
+    preset: PresetName = "tabletop",
+    prior: str | None = None,
+    device: str | None = None,
     seed: int = 0,
     spacing: Annotated[float | None, tyro.conf.arg(metavar="M")] = None,
     max_uncertainty: Annotated[float | None, tyro.conf.arg(metavar="U")] = None,
@@ -36,6 +37,7 @@ def map_frame(
     set: tuple[str, ...] = (),
     rrd: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     overwrite: bool = False,
+    settings: Annotated[PipelineConfig, tyro.conf.arg(name="")] = TABLETOP,
 ) -> None:
     """Map an RGB-D frame: one watertight metric mesh with uncertainty per object.
 
@@ -50,23 +52,24 @@ def map_frame(
         intrinsics: Focal lengths and principal point [px], with --depth.
         depth_scale: Metres per stored depth unit, with --depth; 0.001 (millimetres) by default.
         preset: tabletop (default) or paper (samples and hinge points as published).
-        prior: What guesses hidden shapes: learned (default), or none; the paper preset has none.
-        device: cpu, cuda or auto.
+        prior: What guesses hidden shapes: learned, or none (samples.prior; the paper preset has none).
+        device: cpu, cuda or auto (map.device).
         seed: Same seed, same meshes.
-        spacing: Lattice spacing of the meshes [m], 0.005 by default.
-        max_uncertainty: Keep only what is less uncertain than this (0..1).
-        config: JSON file of nested settings, as in the `config` of a scene.json.
-        set: Single settings, such as mesh.spacing=0.003 samples.pair_offset=0.004.
+        spacing: Lattice spacing of the meshes [m] (mesh.spacing).
+        max_uncertainty: Keep only what is less uncertain than this, 0..1 (mesh.max_uncertainty).
+        config: YAML or JSON file of nested settings, as in the `config` of a scene.json.
+        set: Settings as text, such as mesh.spacing=0.003; the same as --mesh.spacing 0.003.
         rrd: Also write a rerun recording to this file.
         overwrite: Replace an older result in --out.
+        settings: Every setting of the pipeline; the defaults are those of --preset.
     """
     from reconstruction import reconstruct
     from reconstruction.files.result_folder import check_output, save_reconstruction
 
-    settings = pipeline_config(preset, device, prior, set, config, spacing, max_uncertainty)
+    chosen = pipeline_config(settings, config, set, device, prior, spacing, max_uncertainty)
     check_output(out, overwrite)
     loaded = _load(frame, rgb, depth, labels, intrinsics, depth_scale)
-    reconstruction = reconstruct(loaded, settings, seed)
+    reconstruction = reconstruct(loaded, chosen, seed)
     save_reconstruction(reconstruction, out, overwrite=overwrite)
     if rrd is not None:
         from reconstruction.pictures.recording import record

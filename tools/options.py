@@ -4,46 +4,47 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mapping.errors import ConfigError, DataError
-
-if TYPE_CHECKING:
-    from reconstruction.config import PipelineConfig
+from mapping.settings import override
+from reconstruction.config import PipelineConfig, with_prior
 
 
 def pipeline_config(
-    preset_name: str,
-    device: str = "auto",
-    prior: str | None = None,
-    settings: tuple[str, ...] = (),
+    settings: PipelineConfig,
     config_file: Path | None = None,
+    texts: tuple[str, ...] = (),
+    device: str | None = None,
+    prior: str | None = None,
     spacing: float | None = None,
     max_uncertainty: float | None = None,
 ) -> PipelineConfig:
-    """The preset, then a JSON file of nested settings, then `section.field=value` settings, then flags.
+    """Settings as the command line gave them, then a file's, then `section.field=value`, then shorthands.
 
-    Raises ConfigError for unknown presets and fields (naming the valid ones) and unreadable values.
+    Raises ConfigError for unknown settings (naming the valid ones) and values out of range.
     """
-    from reconstruction.config import override, preset
-
-    config = preset(preset_name, device, prior)
+    config = settings
     if config_file is not None:
         # A scene.json's `config` names its preset, which --preset has chosen already.
-        stored = {name: value for name, value in _read_json(config_file).items() if name != "preset"}
+        stored = {name: value for name, value in read_settings(config_file).items() if name != "preset"}
         config = override(config, stored)
-    for setting in settings:
-        if "=" not in setting:
-            raise ConfigError(f"--set wants section.field=value, got {setting!r}")
-        config = override(config, nested_setting(setting))
-    mesh = config.mesh
-    if spacing is not None:
-        mesh = replace(mesh, spacing=spacing)
-    if max_uncertainty is not None:
-        mesh = replace(mesh, max_uncertainty=max_uncertainty)
-    return replace(config, mesh=mesh)
+    for text in texts:
+        if "=" not in text:
+            raise ConfigError(f"--set wants section.field=value, got {text!r}")
+        config = override(config, nested_setting(text))
+    if prior is not None:
+        config = with_prior(config, prior)
+    shorthands: dict[str, dict[str, Any]] = {
+        "map": {"device": device},
+        "mesh": {"spacing": spacing, "max_uncertainty": max_uncertainty},
+    }
+    given = {
+        section: {name: value for name, value in fields.items() if value is not None}
+        for section, fields in shorthands.items()
+    }
+    return override(config, given)
 
 
 def nested_setting(text: str) -> dict[str, Any]:
@@ -68,18 +69,27 @@ def write_json(figures: dict[str, Any], path: Path | None) -> None:
         raise DataError(f"{path}: cannot write the figures ({error.strerror})") from error
 
 
+def read_settings(path: Path) -> dict[str, Any]:
+    """Nested settings from a YAML or JSON file; ConfigError when it is neither or holds something else."""
+    import yaml
+
+    try:
+        text = path.read_text()
+        # JSON first: YAML 1.1 reads 1e-5 as a text.
+        try:
+            settings = json.loads(text)
+        except ValueError:
+            settings = yaml.safe_load(text)
+    except (OSError, ValueError, yaml.YAMLError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise ConfigError(f"{path}: not a readable YAML or JSON file of settings ({reason})") from error
+    if not isinstance(settings, dict):
+        raise ConfigError(f"{path}: settings must be an object such as {{'mesh': {{'spacing': 0.003}}}}")
+    return settings
+
+
 def _value(text: str) -> Any:
     try:
         return json.loads(text)
-    except json.JSONDecodeError:
+    except (ValueError, RecursionError):
         return text
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        settings = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: not a readable JSON file of settings ({error})") from error
-    if not isinstance(settings, dict):
-        raise ConfigError(f"{path}: settings must be a JSON object such as {{'mesh': {{'spacing': 0.003}}}}")
-    return settings

@@ -120,7 +120,8 @@ def measure(point: Point, seed: int) -> dict[str, float]:
     import torch
 
     from mapping.baselines.vprism import VPrism, VPrismConfig
-    from mapping.contramap import ContraMap, MapConfig
+    from mapping.config import MapConfig
+    from mapping.contramap import ContraMap
 
     torch.set_num_threads(point.threads)
     X, y, hinges, gamma = problem(point.hinges, point.objects, seed)

@@ -14,10 +14,11 @@ import torch
 from torch import nn
 from typing_extensions import Self
 
+from mapping.config import FIT_CUTOFF
 from mapping.errors import ConfigError, DataError
 from mapping.kernels import PREDICT_CUTOFF
 from mapping.lattice import LatticeEvaluator
-from mapping.sparse_features import FIT_CUTOFF, SparseFeatures, sparse_features
+from mapping.sparse_features import SparseFeatures, sparse_features
 from mapping.sparse_rows import SparseRows
 
 

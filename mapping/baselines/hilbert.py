@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from mapping.contramap import ContraMap, MapConfig
+from mapping.config import MapConfig, ModelConfig
+from mapping.contramap import ContraMap
 
 
 class HilbertMap(ContraMap):
@@ -14,5 +15,5 @@ class HilbertMap(ContraMap):
     alone. Fit it to observed samples only; every column of `predict_proba` is an observed class.
     """
 
-    def __init__(self, config: MapConfig | None = None) -> None:
+    def __init__(self, config: ModelConfig | None = None) -> None:
         super().__init__(replace(config or MapConfig(), far_uncertainty=None))

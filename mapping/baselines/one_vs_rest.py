@@ -7,43 +7,23 @@ features, and the Gram sums of each batch's first round, where every xi is 1.
 from __future__ import annotations
 
 import numpy as np
+import torch
 from scipy.special import expit
-from typing_extensions import Self
 
-from mapping.baselines.base import check_labelled_points
 from mapping.baselines.bayesian_hilbert import BayesianHilbertConfig
 from mapping.baselines.dense_gaussian import add_gram, feature_rows, posterior, variances
-from mapping.errors import DataError
+from mapping.baselines.kernel_map import GaussianKernelMap
 
 
-class OneVsRestHilbertMap:
+class OneVsRestHilbertMap(GaussianKernelMap):
     """K Gaussian posteriors over the weights of binary kernel maps: class k against all others."""
 
     def __init__(self, config: BayesianHilbertConfig | None = None) -> None:
         self.config = config or BayesianHilbertConfig()
 
-    def fit(
-        self,
-        X: np.ndarray,
-        y: np.ndarray,
-        hinges: np.ndarray,
-        rng: np.random.Generator,
-        classes: int | None = None,
-    ) -> Self:
-        """Update the prior with points X (N, d) and labels y (N,) in 0..K-1, in random order.
-
-        hinges: (H, d); classes: K when y may lack the last ones. Raises DataError for arrays that do not fit.
-        """
-        X, y, found = check_labelled_points(X, y)
-        classes = found if classes is None else classes
-        if classes < found:
-            raise DataError(f"y holds {found} classes, more than the {classes} announced")
-        self.hinges = np.ascontiguousarray(hinges, np.float32)
-        self.precision = np.tile(self.config.prior_precision * np.eye(len(hinges)), (classes, 1, 1))
-        self._information = np.zeros((classes, len(hinges)))
-        for batch in np.array_split(rng.permutation(len(X)), -(-len(X) // self.config.batch)):
-            self._update(X[batch], y[batch])
-        return self
+    @property
+    def settings(self) -> BayesianHilbertConfig:
+        return self.config
 
     def latent(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mean and variance (N, K) float32 of w_k . phi at X (N, d)."""
@@ -59,6 +39,14 @@ class OneVsRestHilbertMap:
         """Probability (N, K) of each class alone, against the rest; rows need not sum to 1."""
         mean, variance = self.latent(X)
         return expit(mean / np.sqrt(1.0 + np.pi / 8.0 * variance))
+
+    def _start(self, classes: int) -> None:
+        features = len(self.hinges)
+        self.precision = np.tile(self.config.prior_precision * np.eye(features), (classes, 1, 1))
+        self._information = np.zeros((classes, features))
+
+    def _mean_weights(self) -> tuple[torch.Tensor, torch.Tensor]:
+        return torch.from_numpy(self.mu.T.astype(np.float32)), torch.zeros(len(self.mu))
 
     def _update(self, X: np.ndarray, y: np.ndarray) -> None:
         prior = self.precision

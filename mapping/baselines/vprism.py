@@ -25,10 +25,9 @@ from typing import Literal
 import numpy as np
 import torch
 from scipy.special import expit
-from typing_extensions import Self
 
-from mapping.baselines.base import check_labelled_points
-from mapping.errors import ConfigError, DataError
+from mapping.baselines.kernel_map import GaussianKernelMap
+from mapping.errors import ConfigError
 from mapping.kernels import dense_features, reach
 
 
@@ -63,7 +62,7 @@ class _Group:
     phi: torch.Tensor
 
 
-class VPrism:
+class VPrism(GaussianKernelMap):
     """K Gaussians over H weights; class probabilities by averaging the softmax over them."""
 
     def __init__(self, config: VPrismConfig | None = None) -> None:
@@ -72,31 +71,9 @@ class VPrism:
             raise ConfigError(f"alpha must be published or bound, got {self.config.alpha!r}")
         self.hinges = np.empty((0, 3), np.float32)
 
-    def fit(
-        self,
-        X: np.ndarray,
-        y: np.ndarray,
-        hinges: np.ndarray,
-        rng: np.random.Generator,
-        classes: int | None = None,
-    ) -> Self:
-        """Update the prior with points X (N, d) and labels y (N,) in 0..K-1, in random order.
-
-        hinges: (H, d); classes: K when y may lack the last ones. Raises DataError for arrays that do not fit.
-        """
-        X64, y, found = check_labelled_points(X, y)
-        X = X64.astype(np.float32)
-        classes = found if classes is None else classes
-        if classes < found:
-            raise DataError(f"y holds {found} classes, more than the {classes} announced")
-        self.hinges = np.ascontiguousarray(hinges, np.float32)
-        features = len(self.hinges) + self.config.bias
-        self.precision = torch.eye(features, dtype=torch.float64).repeat(classes, 1, 1)
-        self.precision /= self.config.prior_variance
-        self._information = torch.zeros(classes, features, dtype=torch.float64)
-        for batch in np.array_split(rng.permutation(len(X)), -(-len(X) // self.config.batch)):
-            self._update(X[batch], y[batch])
-        return self
+    @property
+    def settings(self) -> VPrismConfig:
+        return self.config
 
     @property
     def class_count(self) -> int:
@@ -118,7 +95,19 @@ class VPrism:
         """V-PRISM's uncertainty: entropy (N,) of the probabilities over its largest value, in [0, 1]."""
         return normalised_entropy(self.predict_proba(X))
 
+    def _start(self, classes: int) -> None:
+        features = len(self.hinges) + self.config.bias
+        self.precision = torch.eye(features, dtype=torch.float64).repeat(classes, 1, 1)
+        self.precision /= self.config.prior_variance
+        self._information = torch.zeros(classes, features, dtype=torch.float64)
+
+    def _mean_weights(self) -> tuple[torch.Tensor, torch.Tensor]:
+        weights = self.mu.T.float()
+        bias = weights[-1] if self.config.bias else torch.zeros(self.class_count)
+        return weights[: len(self.hinges)], bias
+
     def _update(self, X: np.ndarray, y: np.ndarray) -> None:
+        X = X.astype(np.float32)
         groups = list(self._groups(X))
         prior, prior_information = self.precision, self._information
         one_hot = np.eye(self.class_count, dtype=np.float32)[y]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mapping.hinges import lattice_near_centres, random_subset
@@ -11,54 +9,35 @@ from mapping.samples import along_rays, jittered_lattice, voxel_subsample, withi
 from perception.camera import transform
 from perception.observation import Observation
 from perception.space import Space
+from reconstruction.config import PaperSamples
 from reconstruction.samples.training_set import TrainingSet, assemble
 
 
-@dataclass(frozen=True)
-class PaperSamples:
-    """Hinge points and samples as V-PRISM and the paper draw them (paper, Section V-D)."""
-
-    hinge_spacing: float = 0.05
-    """Spacing of the hinge lattice near objects [m]."""
-    hinge_radius: float = 0.15
-    """Hinge points lie within this distance of an object's box centre [m]."""
-    surface_hinges: int = 32
-    """Random surface points an object used as further hinge points."""
-    gamma: float = 1000.0
-    """Kernel width [1/m^2]."""
-    ray_step: float = 0.10
-    """One free sample in each step of every ray [m]."""
-    radius: float = 0.25
-    """Samples lie within this distance of an object's box centre [m]."""
-    empty_voxel: float = 0.015
-    """Voxel that keeps one empty sample [m]."""
-    surface_voxel: float = 0.01
-    """Voxel that keeps one surface sample of an object [m]."""
-    noise_ratio: float = 0.025
-    """Noise samples as a share of the other samples, drawn evenly near objects."""
-
-    def draw(self, observation: Observation, space: Space, rng: np.random.Generator) -> TrainingSet:
-        centres = np.array([np.mean(o.bounds, axis=0) for o in observation.objects], np.float32)
-        surface = _surface_points(observation)
-        free = along_rays(space.origin, surface, self.ray_step, 0.0, rng)
-        parts = [free[within(free, centres, self.radius)]]
-        if observation.support is not None:
-            low, high = centres.min(0) - self.radius, centres.max(0) + self.radius
-            below = jittered_lattice(low, np.array([*high[:2], 0.0]), self.empty_voxel, rng)
-            parts.append(below[(below[:, 2] < 0) & within(below, centres, self.radius)])
-        empty = np.concatenate(parts)
-        empty = empty[voxel_subsample(empty, self.empty_voxel, rng)]
-        classes = [empty]
-        hinges = [lattice_near_centres(centres, self.hinge_radius, self.hinge_spacing)]
-        for item in observation.objects:
-            classes.append(item.points[voxel_subsample(item.points, self.surface_voxel, rng)])
-            hinges.append(random_subset(item.points, self.surface_hinges, rng))
-        count = int(np.ceil(self.noise_ratio * sum(map(len, classes))))
-        all_hinges = np.concatenate(hinges).astype(np.float32)
-        noise = _noise_near(centres, self.radius, count, observation.support is not None, rng)
-        uncertain = np.tile(np.eye(len(classes) + 1)[-1], (count, 1))
-        gamma = np.full(len(all_hinges), self.gamma)
-        return assemble(classes, noise, uncertain, all_hinges, gamma)
+def draw_paper(
+    config: PaperSamples, observation: Observation, space: Space, rng: np.random.Generator
+) -> TrainingSet:
+    """The training set of one observation, in its table frame."""
+    centres = np.array([np.mean(o.bounds, axis=0) for o in observation.objects], np.float32)
+    surface = _surface_points(observation)
+    free = along_rays(space.origin, surface, config.ray_step, 0.0, rng)
+    parts = [free[within(free, centres, config.radius)]]
+    if observation.support is not None:
+        low, high = centres.min(0) - config.radius, centres.max(0) + config.radius
+        below = jittered_lattice(low, np.array([*high[:2], 0.0]), config.empty_voxel, rng)
+        parts.append(below[(below[:, 2] < 0) & within(below, centres, config.radius)])
+    empty = np.concatenate(parts)
+    empty = empty[voxel_subsample(empty, config.empty_voxel, rng)]
+    classes = [empty]
+    hinges = [lattice_near_centres(centres, config.hinge_radius, config.hinge_spacing)]
+    for item in observation.objects:
+        classes.append(item.points[voxel_subsample(item.points, config.surface_voxel, rng)])
+        hinges.append(random_subset(item.points, config.surface_hinges, rng))
+    count = int(np.ceil(config.noise_ratio * sum(map(len, classes))))
+    all_hinges = np.concatenate(hinges).astype(np.float32)
+    noise = _noise_near(centres, config.radius, count, observation.support is not None, rng)
+    uncertain = np.tile(np.eye(len(classes) + 1)[-1], (count, 1))
+    gamma = np.full(len(all_hinges), config.gamma)
+    return assemble(classes, noise, uncertain, all_hinges, gamma)
 
 
 def _surface_points(observation: Observation) -> np.ndarray:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import trimesh
 from scipy import ndimage
 
+from reconstruction.config import MeshConfig
 from reconstruction.surface.field import OUTSIDE, Field
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
 
@@ -15,27 +14,6 @@ RULED_OUT = -4.0
 """Where its log odds are below this, the map is sure that a node is not of the object, seen cell or not."""
 SEEN_LOG_ODDS = 2.0
 """Log odds given to the nodes that seen cells are kept by."""
-
-
-@dataclass(frozen=True)
-class MeshConfig:
-    """How meshes are taken from the map."""
-
-    spacing: float = 0.005
-    """Lattice spacing [m]; also about the edge length of the triangles."""
-    margin: float = 0.10
-    """The hidden part of an object is looked for this far beyond its visible points [m]."""
-    floor: float | None = -0.0015
-    """Nothing reaches below this height over the support plane [m]; None: meshes may."""
-    smallest_part: float = 0.05
-    """Parts of an object smaller than this share of its largest part are dropped."""
-    max_uncertainty: float | None = None
-    """Keep only what is less uncertain than this (0..1); None keeps all."""
-    confined: bool = True
-    """Further from an object than `margin`, the map is evaluated as if it did not exist: half the work."""
-    keep_seen: bool = True
-    """Every cell that holds a seen point of an object belongs to it in part, so that things thinner than a
-    cell stay whole."""
 
 
 def extract_mesh(

@@ -10,12 +10,13 @@ from time import perf_counter, process_time
 import numpy as np
 import trimesh
 
+from reconstruction.fitted_scene import Surface
 from reconstruction.metrics import grid_around
-from reconstruction.scene import object_space as object_boxes
-from reconstruction.surface.meshing import RULED_OUT, SEEN_LOG_ODDS, MeshConfig, extract_mesh
+from reconstruction.surface.meshing import RULED_OUT, SEEN_LOG_ODDS
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
 from tools.evaluation.case import Case
-from tools.evaluation.methods import FittedMap, method
+from tools.evaluation.fitted_map import FittedMap
+from tools.evaluation.methods import method
 from tools.evaluation.uncertainty_card import distance_to_samples
 
 COARSE_SPACING = 0.015
@@ -25,8 +26,8 @@ FINE_SPACING = 0.005
 
 Seconds = dict[str, float]
 """Wall-clock seconds of a stage under `<stage>_s`, this process's processor seconds under `<stage>_cpu_s`."""
-DeliveredMeshes = dict[int, tuple[trimesh.Trimesh, np.ndarray]]
-"""Label -> mesh [m] and its uncertainty (V,); objects without volume are missing."""
+DeliveredMeshes = dict[int, Surface]
+"""Label -> mesh with uncertainty; objects without volume are missing."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +57,11 @@ def ask(case: Case, name: str, seed: int) -> Answers:
     """Fit a method on a case and take all its answers, with the time of each stage."""
     seconds: Seconds = {}
     with timed(seconds, "fit"):
-        fitted = method(name)(case.observation, case.space, case.rng(seed, "fit"))
+        fitted = method(name).fit(case.view, case.rng(seed, "fit"))
     with timed(seconds, "mesh"):
         coarse = coarse_answers(fitted, case)
     with timed(seconds, "mesh_5mm"):
-        meshes = delivered_meshes(fitted, case, MeshConfig())
+        meshes = delivered_meshes(fitted, case)
     points = case.card_voxels.points
     probability, uncertainty = fitted.predict(points)
     distance = distance_to_samples(points, fitted.samples)
@@ -122,14 +123,7 @@ def _probability(log_odds: float) -> float:
     return float(1 / (1 + np.exp(-log_odds)))
 
 
-def delivered_meshes(fitted: FittedMap, case: Case, config: MeshConfig) -> DeliveredMeshes:
-    """The project's own extraction at 5 mm of every observed object."""
-    lows, highs = object_boxes(case.observation, config.margin)
-    field = fitted.field(lows, highs, FINE_SPACING)
-    meshes = {}
-    for index, item in enumerate(case.observation.objects):
-        seen = item.points if fitted.keeps_seen else None
-        extracted = extract_mesh(field, index, config, seen)
-        if extracted is not None:
-            meshes[item.label] = extracted
-    return meshes
+def delivered_meshes(fitted: FittedMap, case: Case) -> DeliveredMeshes:
+    """The mesh a method delivers of every observed object."""
+    found = zip(case.observation.objects, fitted.meshes(case.view))
+    return {item.label: surface for item, surface in found if surface is not None}

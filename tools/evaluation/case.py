@@ -19,6 +19,7 @@ from perception.observe import observe
 from perception.space import Region, Space
 from reconstruction.solid import Solid
 from sim_scenes.truth import load_truth
+from tools.evaluation.fitted_map import View
 
 LEAST_PIXELS = 200
 """Objects that show fewer pixels are not judged."""
@@ -50,6 +51,11 @@ class Case:
     observation: Observation
     space: Space
     meshes: dict[int, trimesh.Trimesh]
+
+    @property
+    def view(self) -> View:
+        """What a method may know of it."""
+        return View(self.frame, self.observation, self.space)
 
     @cached_property
     def judged(self) -> list[int]:

@@ -11,10 +11,10 @@ import trimesh
 from perception.camera import Camera
 from reconstruction.pictures.palette import object_colour, uncertainty_colours
 from reconstruction.pictures.shading import ShadingConfig, render
-from reconstruction.surface.meshing import MeshConfig
-from tools.evaluation.answers import delivered_meshes
+from tools.evaluation.answers import DeliveredMeshes, delivered_meshes
 from tools.evaluation.case import Case, load_case
-from tools.evaluation.methods import FittedMap, method
+from tools.evaluation.fitted_map import FittedMap
+from tools.evaluation.methods import method
 
 WIDTH = 480
 """Width of every picture [px]."""
@@ -30,8 +30,8 @@ def gallery_pictures(scene: Path, names: tuple[str, ...], ycb_dir: Path | None) 
     camera = _small(case)
     pictures = {"RGB": _resized(_rgb(case), camera), "segmented cloud": _resized(_labels(case), camera)}
     for name in names:
-        fitted = method(name)(case.observation, case.space, case.rng(SEED, "fit"))
-        meshes = delivered_meshes(fitted, case, MeshConfig())
+        fitted = method(name).fit(case.view, case.rng(SEED, "fit"))
+        meshes = delivered_meshes(fitted, case)
         pictures[f"{name}: meshes"] = _shaded(case, camera, meshes)
         pictures[f"{name}: uncertainty slice"] = _slice(case, fitted, meshes, camera)
     return pictures
@@ -97,22 +97,22 @@ def _labels(case: Case) -> np.ndarray:
     return np.clip(picture, 0, 255).astype(np.uint8)
 
 
-def _shaded(case: Case, camera: Camera, meshes: dict[int, tuple[trimesh.Trimesh, np.ndarray]]) -> np.ndarray:
+def _shaded(case: Case, camera: Camera, meshes: DeliveredMeshes) -> np.ndarray:
     """Delivered meshes from the camera's viewpoint, in the colours of their objects."""
     if not meshes:
         return np.full((camera.height, camera.width, 3), ShadingConfig().background, np.uint8)
     colours = [
-        np.tile(object_colour(case.index_of[label]), (len(mesh.vertices), 1))
-        for label, (mesh, _) in meshes.items()
+        np.tile(object_colour(case.index_of[label]), (len(surface.mesh.vertices), 1))
+        for label, surface in meshes.items()
     ]
     ground = (np.array([0.0, 0.0, 1.0]), 0.0) if case.observation.support is not None else None
-    return render([mesh for mesh, _ in meshes.values()], colours, camera, ground)
+    return render([surface.mesh for surface in meshes.values()], colours, camera, ground)
 
 
 def _slice(
     case: Case,
     fitted: FittedMap,
-    meshes: dict[int, tuple[trimesh.Trimesh, np.ndarray]],
+    meshes: DeliveredMeshes,
     camera: Camera,
 ) -> np.ndarray:
     """Uncertainty on the horizontal plane through the objects' seen middles; the camera is at the bottom.
@@ -134,8 +134,8 @@ def _slice(
     picture = _resized(uncertainty_colours(np.clip(uncertainty, 0, 1)), replace(camera))
     for mesh in case.meshes.values():
         _outline(picture, mesh, height, x[0], y[0], step, (255, 255, 255))
-    for mesh, _ in meshes.values():
-        _outline(picture, mesh, height, x[0], y[0], step, (20, 20, 20))
+    for surface in meshes.values():
+        _outline(picture, surface.mesh, height, x[0], y[0], step, (20, 20, 20))
     return picture
 
 

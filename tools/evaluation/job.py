@@ -18,7 +18,7 @@ from mapping.files import temporary_beside, write_atomically
 from sim_scenes.truth import TRUTH_FILE
 from tools.evaluation.answers import Answers, ask
 from tools.evaluation.case import Case, load_case
-from tools.evaluation.methods import SEEDLESS
+from tools.evaluation.methods import method
 from tools.evaluation.protocol import coarse_protocol, fine_protocol
 from tools.evaluation.uncertainty_card import ranking_scores, uncertainty_card
 
@@ -98,7 +98,7 @@ def run_job(job: Job, done: Callable[[Run], None] = lambda run: None) -> list[di
     for run in todo:
         try:
             answers = seedless.get(run.method) or ask(case, run.method, run.seed)
-            if run.method in SEEDLESS:
+            if not method(run.method).seeded:
                 seedless[run.method] = answers
             content = judge(answers, case, run, job)
             write_atomically(job.result_file(run), (json.dumps(content) + "\n").encode())

@@ -51,12 +51,12 @@ def fine_protocol(meshes: DeliveredMeshes, case: Case, rng: np.random.Generator)
     the visible and hidden true surface from the mesh [mm], how well vertex uncertainty ranks errors, and the
     surface card. An object without a mesh agrees with no ray."""
     found: dict[int, dict[str, Any]] = {}
-    agreed = agreements({label: mesh for label, (mesh, _) in meshes.items()}, case)
+    agreed = agreements({label: surface.mesh for label, surface in meshes.items()}, case)
     for label in case.judged:
         found[label] = dict.fromkeys(ZERO_WHEN_MISSING, 0.0)
         if label not in meshes:
             continue
-        mesh, uncertainty = meshes[label]
+        mesh, uncertainty = meshes[label].mesh, meshes[label].uncertainty
         predicted, true = Solid(mesh), case.solids[label]
         a, b = (sample_surface(m, SURFACE_SAMPLES, rng) for m in (mesh, true.mesh))
         distances = mutual_distances(a, b)

@@ -8,7 +8,7 @@ import numpy as np
 
 from perception.camera import invert_rigid
 from perception.observation import Observation
-from tools.evaluation.methods import FittedMap
+from tools.evaluation.fitted_map import FittedMap, View
 
 VOXEL = 0.005
 """Voxel of the volumes [m]."""
@@ -28,7 +28,8 @@ class FittedTsdf(FittedMap):
     An object is where its distance is negative; what no ray reached counts as empty and fully uncertain.
     """
 
-    def __init__(self, observation: Observation) -> None:
+    def __init__(self, view: View) -> None:
+        observation = view.observation
         self.samples = np.concatenate([item.points for item in observation.objects])
         lows, highs = (np.array(b) for b in zip(*(item.bounds for item in observation.objects)))
         lows, highs = lows - MARGIN, highs + MARGIN

@@ -10,9 +10,9 @@ import numpy as np
 
 from mapping.baselines.bayesian_hilbert import BayesianHilbertConfig, BayesianHilbertMap
 from mapping.baselines.hilbert import HilbertMap
-from mapping.contramap import ContraMap, MapConfig
+from mapping.config import FitConfig, MapConfig
+from mapping.contramap import ContraMap
 from mapping.samples import merge_in_cells
-from mapping.softmax import FitConfig
 from perception.lidar import BeamConfig
 from tools.reproduce.landscape import UNCERTAIN, Landscape, Split
 

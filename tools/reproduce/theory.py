@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mapping.contramap import ContraMap, MapConfig
-from mapping.softmax import FitConfig
+from mapping.config import FitConfig, MapConfig
+from mapping.contramap import ContraMap
 from tools.evaluation.statistics import spearman
 from tools.options import write_json
 from tools.reproduce.runs import save_figure

@@ -18,7 +18,8 @@ from mapping.baselines.gaussian_process import GaussianProcess, GaussianProcessC
 from mapping.baselines.mc_dropout import McDropout
 from mapping.baselines.residual_network import NetworkConfig
 from mapping.baselines.sngp import Sngp
-from mapping.contramap import ContraMap, MapConfig
+from mapping.config import MapConfig
+from mapping.contramap import ContraMap
 from mapping.files import temporary_beside
 from sim_scenes.toy2d import TOY_SETS, ToyConfig, ToySet, make_toy_set
 from tools.evaluation.statistics import auroc, spearman

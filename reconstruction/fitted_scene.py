@@ -1,0 +1,124 @@
+"""One scene on its way from a frame to meshes: what reconstruct, evaluate and the benchmark share.
+
+Knows the order of the steps and what each needs of the ones before; knows nothing of clocks, files, truth or
+pictures. Steps are taken when they are first asked for, each once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import trimesh
+
+from mapping.contramap import ContraMap
+from mapping.errors import ConfigError
+from perception.frame import Frame
+from perception.observation import Observation
+from perception.observe import observe
+from perception.space import Space
+from reconstruction.config import PaperSamples, PipelineConfig
+from reconstruction.samples.paper import draw_paper
+from reconstruction.samples.tabletop import draw_tabletop
+from reconstruction.samples.training_set import TrainingSet
+from reconstruction.surface.field import Field, evaluate_field
+from reconstruction.surface.meshing import extract_mesh
+
+
+@dataclass(frozen=True)
+class Surface:
+    """One object's closed surface in the table frame. uncertainty: (V,) float32 p(uncertain) at vertices."""
+
+    mesh: trimesh.Trimesh
+    uncertainty: np.ndarray
+
+
+@dataclass(frozen=True)
+class FittedScene:
+    """The steps of one frame; all that they make is in the table frame [m].
+
+    rng: draws the samples, and is used up by them. given: an observation that was made before, so that
+    several scenes of one frame share it.
+    """
+
+    frame: Frame
+    config: PipelineConfig
+    rng: np.random.Generator
+    seed: int = 0
+    given: Observation | None = None
+
+    @classmethod
+    def of(cls, frame: Frame, config: PipelineConfig, seed: int = 0) -> FittedScene:
+        """A scene of which everything that is random follows one seed. ConfigError when it is no seed."""
+        return cls(frame, config, generator(seed), seed)
+
+    @cached_property
+    def observation(self) -> Observation:
+        """The frame, cleaned. Raises FrameError when it shows no usable object."""
+        return self.given or observe(self.frame, self.config.perception, self.seed)
+
+    @cached_property
+    def space(self) -> Space:
+        """Free, occluded and unseen space."""
+        return Space.of(self.observation, self.config.perception)
+
+    @cached_property
+    def samples(self) -> TrainingSet:
+        """Hinge points and labelled samples."""
+        settings = self.config.samples
+        if isinstance(settings, PaperSamples):
+            return draw_paper(settings, self.observation, self.space, self.rng)
+        return draw_tabletop(settings, self.observation, self.space, self.rng)
+
+    @cached_property
+    def map(self) -> ContraMap:
+        """The fitted map: class 0 empty space, k the k-th observed object, the last "uncertain"."""
+        training = self.samples
+        return ContraMap(self.config.map).fit(
+            training.X, training.y, hinges=training.hinges, gamma=training.gamma
+        )
+
+    @cached_property
+    def field(self) -> Field:
+        """The map on a lattice, wherever an object can be."""
+        mesh = self.config.mesh
+        return evaluate_field(self.map, *self.boxes, mesh.spacing, self.floor, mesh.confined)
+
+    @cached_property
+    def meshes(self) -> list[Surface | None]:
+        """The surface of each observed object, None where the map gives it no volume."""
+        extracted = (
+            extract_mesh(self.field, index, self.config.mesh, item.points)
+            for index, item in enumerate(self.observation.objects)
+        )
+        return [found and Surface(*found) for found in extracted]
+
+    @property
+    def boxes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where each object can be."""
+        return object_space(self.observation, self.config.mesh.margin)
+
+    @property
+    def floor(self) -> float | None:
+        """Height [m] below which no object can be; None when no support was found."""
+        return self.config.mesh.floor if self.observation.support is not None else None
+
+
+def generator(seed: int) -> np.random.Generator:
+    """The generator of a seed; ConfigError when it is not a whole number >= 0."""
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise ConfigError(f"seed must be a whole number >= 0, got {seed!r}")
+    return np.random.default_rng(seed)
+
+
+def object_space(observation: Observation, margin: float) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes (K, 3), (K, 3) [m] in the table frame that hold every place where an object can be.
+
+    What is hidden of an object reaches no further than `margin` beyond what is seen of it.
+    """
+    lows, highs = (np.array(b) for b in zip(*(o.bounds for o in observation.objects)))
+    lows, highs = lows - margin, highs + margin
+    if observation.support is not None:
+        lows[:, 2] = np.maximum(lows[:, 2], -0.02)
+    return lows, highs

@@ -1,0 +1,30 @@
+"""Hinge points of the `tabletop` preset: lattices that are the finer the more there is to tell.
+
+Knows points to be near of; knows nothing of what they are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mapping.hinges import lattice_near_points
+from reconstruction.config import TabletopSamples
+
+
+def hinge_points(
+    config: TabletopSamples, seen: np.ndarray, feet: np.ndarray, thin: np.ndarray, covered: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Hinge points (H, 3) and widths (H,): coarse over the covered space, finer near what is seen, finest on
+    thin walls. Each of seen, feet, thin, covered: (N, 3) [m]."""
+    lattices = [
+        (lattice_near_points(covered, 0.0, config.coarse_spacing), config.coarse_gamma),
+        (lattice_near_points(seen, config.fine_distance, config.fine_spacing), config.fine_gamma),
+    ]
+    if config.finest_distance is not None:
+        ground = np.concatenate([seen, feet])
+        finest = lattice_near_points(ground, config.finest_distance, config.finest_spacing)
+        lattices.append((finest, config.finest_gamma))
+    if config.thin_spacing is not None and len(thin):
+        lattices.append((lattice_near_points(thin, 0.0, config.thin_spacing), config.thin_gamma))
+    points, widths = zip(*lattices)
+    return np.concatenate(points), np.repeat(widths, [len(p) for p in points])

@@ -1,0 +1,89 @@
+"""Samples away from surfaces: free, hidden, below the support plane, and under objects' hidden feet.
+
+Knows what rays say of places; knows nothing of what may fill the hidden ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapping.hinges import lattice_near_points
+from mapping.samples import jittered, jittered_lattice
+from perception.space import Region
+from reconstruction.samples.scope import Scope
+
+FOOT_CLEARANCE = 0.0015
+"""Samples keep this distance from the support plane, which is known no better [m]."""
+LEVEL = np.array([1, 1, 0], np.float32)
+"""Drops points on the support plane."""
+DEEPER_SHARE = 0.3
+"""As many more samples, as a share of those right under a foot, lie deeper."""
+DEEPER = (0.005, 0.020)
+"""How deep under the support plane [m]."""
+
+
+@dataclass(frozen=True)
+class OpenSpace:
+    """Samples (N, 3) of each kind. empty: known to be; free: those of them away from objects."""
+
+    free: np.ndarray
+    hidden: np.ndarray
+    empty: np.ndarray
+
+
+def open_space(scope: Scope) -> OpenSpace:
+    """Samples of free space away from objects, of hidden space, and all that are known to be empty."""
+    config = scope.config
+    free = scope.cover(config.free_spacing)
+    free = free[scope.space.classify(free) == Region.FREE]
+    hidden = scope.cover(config.occluded_spacing)
+    region = scope.space.classify(hidden)
+    # Where nothing was measured beside an object, the kernels would let it grow unchecked.
+    unknown = region == Region.OUT_OF_VIEW
+    unknown[unknown] = scope.observation.near_objects(hidden[unknown], config.unknown_distance)
+    hidden = hidden[(region == Region.OCCLUDED) | unknown]
+    near = lattice_near_points(scope.seen, config.near_distance, config.near_spacing)
+    near = jittered(near, config.near_spacing, scope.rng)
+    is_empty, is_hidden = scope.classify(near)
+    hidden = np.concatenate([hidden, near[is_hidden]])
+    hidden = hidden[~_within_wall(scope, hidden)]
+    return OpenSpace(free, hidden, np.concatenate([free, near[is_empty]]))
+
+
+def below_support(scope: Scope) -> np.ndarray:
+    """Samples (M, 3) under the support plane: a dense layer right under it, a coarse one deeper."""
+    config = scope.config
+    layers = []
+    for top, bottom, spacing in (
+        (0.0, -config.pair_offset, config.floor_spacing),
+        (-config.pair_offset, -config.below_depth, config.below_spacing),
+    ):
+        layer = np.array([*scope.low[:2], bottom]), np.array([*scope.high[:2], top])
+        points = scope.cover(spacing, *layer)
+        layers.append(points[points[:, 2] < top])
+    return np.concatenate(layers)
+
+
+def feet(scope: Scope) -> np.ndarray:
+    """Samples (M, 3) under the support plane where an object may stand unseen, most of them right under it:
+    they close the objects' bottoms."""
+    config = scope.config
+    points = jittered_lattice(scope.low * LEVEL, scope.high * LEVEL, config.foot_spacing, scope.rng)
+    points = points[scope.observation.near_objects(points, config.foot_distance)]
+    points[:, 2] = FOOT_CLEARANCE
+    points = points[scope.space.classify(points) != Region.FREE]
+    deeper = points[scope.rng.random(len(points)) < DEEPER_SHARE]
+    points[:, 2] = -FOOT_CLEARANCE
+    deeper[:, 2] = -scope.rng.uniform(*DEEPER, len(deeper))
+    return np.concatenate([points, deeper])
+
+
+def _within_wall(scope: Scope, points: np.ndarray) -> np.ndarray:
+    """Which points (N, 3) lie so little behind an object's seen surface that they belong to its wall."""
+    owned = np.zeros(scope.observation.depth.size, bool)
+    for item in scope.observation.objects:
+        owned[item.pixels] = True
+    sight = scope.space.look(points)
+    return (sight.pixel >= 0) & owned[sight.pixel] & (sight.behind < scope.config.wall)

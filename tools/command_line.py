@@ -1,0 +1,102 @@
+"""From words of the command line to a command with its arguments: tyro's parser, errors on one line.
+
+Knows functions, their signatures and presets; knows nothing of what a command does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import inspect
+import io
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from mapping.errors import ConfigError
+from mapping.settings import override
+from reconstruction.config import preset
+from tools.options import nested_setting
+
+Command = Callable[..., Any]
+FRAMES = re.compile(r"[\u2500-\u257f]+|-{5,}")
+"""Lines and corners of the boxes that tyro draws around its errors."""
+
+
+def with_preset(command: Command, arguments: Sequence[str]) -> Command:
+    """The same command, the defaults of its `settings` being those of the preset that the words name."""
+    if "settings" not in inspect.signature(command).parameters:
+        return command
+    name = "tabletop"
+    for word, following in zip(arguments, [*arguments[1:], ""]):
+        if word == "--preset":
+            name = following
+        elif word.startswith("--preset="):
+            name = word.partition("=")[2]
+    chosen = preset(name)
+
+    @functools.wraps(command)
+    def preset_command(*args: Any, **kwargs: Any) -> Any:
+        return command(*args, **kwargs)
+
+    signature = inspect.signature(command)
+    parameters = [
+        p.replace(default=chosen) if p.name == "settings" else p for p in signature.parameters.values()
+    ]
+    preset_command.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return preset_command
+
+
+def parse(
+    commands: Mapping[str, Command], prog: str, description: str | None, arguments: Sequence[str]
+) -> Callable[[], Any]:
+    """The call that a command line asks for. Help leaves by SystemExit(0); bad words raise ConfigError."""
+    import tyro
+
+    calls: list[Callable[[], Any]] = []
+
+    def remembered(command: Command) -> Command:
+        @functools.wraps(command)
+        def remember(*args: Any, **kwargs: Any) -> None:
+            calls.append(functools.partial(command, *args, **kwargs))
+
+        return remember
+
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            tyro.extras.subcommand_cli_from_dict(
+                {name: remembered(command) for name, command in commands.items()},
+                prog=prog,
+                description=description,
+                args=list(arguments),
+                config=(tyro.conf.FlagCreatePairsOff, tyro.conf.AvoidSubcommands),
+            )
+    except SystemExit as stop:
+        if stop.code in (0, None):
+            raise
+        command = commands.get(arguments[0]) if arguments else None
+        if command:
+            _check_settings(command, arguments)
+        helpful = f"{prog} {arguments[0]} --help" if command else f"{prog} --help"
+        raise ConfigError(f"{_one_line(said.getvalue())}; see {helpful}") from None
+    return calls[0]
+
+
+def _check_settings(command: Command, arguments: Sequence[str]) -> None:
+    """Raise ConfigError that says what is valid when an option such as --mesh.spacin 3 is no setting."""
+    settings = inspect.signature(command).parameters.get("settings")
+    for word, following in zip(arguments, [*arguments[1:], ""]) if settings else ():
+        name, given, value = word.partition("=")
+        if settings and name.startswith("--") and "." in name:
+            dotted = name[2:].replace("-", "_")
+            override(settings.default, nested_setting(f"{dotted}={value if given else following}"))
+
+
+def _one_line(box: str) -> str:
+    """A box of several lines as one sentence: without its title, which its first line says again, the help
+    text of an argument, and the footer."""
+    parts = [" ".join(part.strip("|+• \n").split()) for part in FRAMES.split(box)]
+    said = [part for part in parts if part and not part.startswith(("For full helptext", "(default"))]
+    cut = next((k for k, part in enumerate(said) if part.startswith("Argument helptext")), len(said))
+    return " ".join(said[1:cut]) or " ".join(box.split())
