@@ -281,7 +281,7 @@ def test_results_of_other_scenes_are_not_mixed(scenes: Path, undisturbed: Path, 
 
 
 def test_refusals(scenes: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="valid methods: vprism"):
+    with pytest.raises(ConfigError, match="valid methods: contramap, "):
         evaluate(scenes, out=tmp_path, methods=("magic",))
     with pytest.raises(DataError, match="contramap scenes"):
         find_scenes(tmp_path, None)

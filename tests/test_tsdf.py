@@ -6,24 +6,31 @@ import numpy as np
 import pytest
 from conftest import Shape, make_tabletop
 
+from perception.frame import Frame
 from perception.observation import Observation
 from perception.observe import observe
 from perception.space import Region, Space
+from tools.evaluation.fitted_map import View
 from tools.evaluation.tsdf import TRUNCATION, VOXEL, FittedTsdf
 
 BALL = 0.05
 
 
 @pytest.fixture(scope="module")
-def observation() -> Observation:
+def frame() -> Frame:
     ball = Shape("sphere", (BALL,), (0.0, 0.05, BALL))
     box = Shape("box", (0.08, 0.08, 0.06), (0.0, -0.12, 0.03))
-    return observe(make_tabletop((ball, box), size=(320, 240)).frame)
+    return make_tabletop((ball, box), size=(320, 240)).frame
 
 
 @pytest.fixture(scope="module")
-def fitted(observation: Observation) -> FittedTsdf:
-    return FittedTsdf(observation)
+def observation(frame: Frame) -> Observation:
+    return observe(frame)
+
+
+@pytest.fixture(scope="module")
+def fitted(frame: Frame, observation: Observation) -> FittedTsdf:
+    return FittedTsdf(View(frame, observation, Space.of(observation)))
 
 
 def test_the_surface_lies_where_it_was_seen(observation: Observation, fitted: FittedTsdf) -> None:
