@@ -1,13 +1,16 @@
-# `make demo` and `make test` are all the set-up a fresh machine needs.
+# `make demo` and `make test` are all the set-up a fresh machine needs: Python 3.10 or newer, PYTHON=python3.12 picks one.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-STAMP := $(VENV)/.installed
 OUT ?= demo_out
+# The demo needs the simulator and the viewer; the tests need every extra and the programs that read our exports.
+DEMO := $(VENV)/.installed-demo
+STAMP := $(VENV)/.installed
+PIP = $(BIN)/python -m pip --disable-pip-version-check install --upgrade-strategy only-if-needed -c constraints.txt
 
-.PHONY: demo test test-slow lint format clean system-libraries
+.PHONY: demo test test-slow lint format clean environment system-libraries
 
-demo: $(STAMP)
+demo: $(DEMO)
 	$(BIN)/contramap demo --out $(OUT)
 
 test: $(STAMP)
@@ -25,11 +28,23 @@ format: $(STAMP)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-$(STAMP): pyproject.toml constraints.txt
-	@$(MAKE) --no-print-directory system-libraries
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --upgrade-strategy only-if-needed -c constraints.txt -e '.[dev]'
+$(DEMO): pyproject.toml constraints.txt
+	@$(MAKE) --no-print-directory environment
+	@echo "Installing ContraMap with its simulator and viewer into $(VENV): 3 GB more or less (most of it torch), some minutes."
+	$(PIP) -e '.[sim,viz]'
 	@touch $@
+
+$(STAMP): pyproject.toml constraints.txt
+	@$(MAKE) --no-print-directory environment
+	@echo "Installing ContraMap with all that its tests need into $(VENV): some GB (most of it torch), some minutes."
+	$(PIP) -e '.[dev]'
+	@touch $(DEMO) $@
+
+environment:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
+	  { echo "ContraMap needs Python 3.10 or newer, $(PYTHON) is older or absent; choose one: make demo PYTHON=python3.12"; exit 1; }
+	@$(MAKE) --no-print-directory system-libraries
+	@test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV)
 
 # open3d links against these two; bare images lack them.
 system-libraries:
