@@ -47,6 +47,16 @@ def iou_on_grid(predicted: np.ndarray, true_mesh: trimesh.Trimesh, points: np.nd
     return iou(predicted, inside(true_mesh, points))
 
 
+def mesh_iou(a: Solid | trimesh.Trimesh, b: Solid | trimesh.Trimesh, spacing: float = 0.005) -> float:
+    """IoU of the insides of two closed meshes, counted on a grid of `spacing` [m] over both of them."""
+    a, b = (item if isinstance(item, Solid) else Solid(item) for item in (a, b))
+    low = np.minimum(a.mesh.bounds[0], b.mesh.bounds[0])
+    high = np.maximum(a.mesh.bounds[1], b.mesh.bounds[1])
+    axes = [np.arange(o + spacing / 2, h, spacing) for o, h in zip(low, high)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    return iou(a.inside(grid), b.inside(grid))
+
+
 def sample_surface(mesh: trimesh.Trimesh, count: int, rng: np.random.Generator) -> np.ndarray:
     """Points (count, 3) [m], uniform on the mesh's surface."""
     if len(mesh.faces) == 0:

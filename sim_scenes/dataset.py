@@ -91,6 +91,23 @@ def make_scene(
     """Compose, settle, render and write one scene; the folder appears only when it is complete."""
     config = TabletopConfig()
     placed, cameras = compose(source, settings["views"], rng, config, progress)
+    write_scene(folder, placed, cameras, source, settings, rng, config)
+
+
+def write_scene(
+    folder: Path,
+    placed: Sequence[PlacedObject],
+    cameras: Sequence[Camera],
+    source: ObjectSource,
+    settings: dict[str, Any],
+    rng: np.random.Generator,
+    config: TabletopConfig,
+    depth_scale: float = DEPTH_SCALE,
+) -> None:
+    """Render objects at rest from each camera and write the scene; the folder appears only when complete.
+
+    depth_scale: metres per unit of depth.png.
+    """
     surroundings = Surroundings.random(config.table_size_m, rng)
     renderer = Renderer(placed, surroundings)
     temporary = folder.with_name(f"{folder.name}.{os.getpid()}.tmp")
@@ -98,7 +115,7 @@ def make_scene(
     try:
         for camera, view in zip(cameras, views):
             frame = _frame(renderer, camera, placed, rng, settings)
-            save_frame(frame, temporary / view, DEPTH_SCALE)
+            save_frame(frame, temporary / view, depth_scale)
         _write_truth(temporary, placed, source, settings, views)
         temporary.rename(folder)
     finally:

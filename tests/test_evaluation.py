@@ -17,7 +17,7 @@ import pytest
 from benchmark_scenes import write_scenes
 
 from mapping.errors import ConfigError, DataError
-from reconstruction.metrics import inside
+from reconstruction.metrics import inside, mesh_iou
 from reconstruction.solid import Solid
 from tools.evaluation.answers import Answers, ask, coarse_answers
 from tools.evaluation.case import Case, load_case
@@ -26,7 +26,7 @@ from tools.evaluation.engine import run_local, run_ray
 from tools.evaluation.fitted_map import FittedMap
 from tools.evaluation.job import Job, Run, run_job
 from tools.evaluation.methods import METHODS
-from tools.evaluation.protocol import coarse_protocol, mesh_iou
+from tools.evaluation.protocol import coarse_protocol
 from tools.evaluation.statistics import (
     aurc,
     auroc,

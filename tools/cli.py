@@ -52,7 +52,9 @@ GROUPS: dict[str, dict[str, Command]] = {
     "benchmark": {"latency": latency, "scaling": scaling},
     "reproduce": {"toy": toy, "occupancy": occupancy, "hinges": hinges},
 }
-DESCRIPTION = "RGB-D frames to metric object meshes with uncertainty."
+DESCRIPTION = (
+    "RGB-D frames to metric object meshes with uncertainty. `contramap --version` says which release this is."
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -62,6 +64,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: list[str]) -> None:
+    if arguments == ["--version"]:
+        from mapping.version import version
+
+        print(f"contramap {version()}")
+        return
     group = arguments[0] if arguments and arguments[0] in GROUPS else None
     commands = GROUPS[group] if group else COMMANDS
     call = parse(

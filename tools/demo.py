@@ -35,8 +35,9 @@ def demo(
 
     Args:
         out: Folder for the scene (OUT/scene_0000) and the result (OUT/result); older demos are replaced.
-        seed: Which scene.
-        objects: ycb (real scans), builtin, or auto: scans where found.
+        seed: Which scene; the shipped one is always the same.
+        objects: ycb (real scans), builtin, shipped (a small scene that comes with the package and needs no
+            simulator), or auto: scans where found; shipped where pybullet is missing.
         ycb: Folder of YCB scans; otherwise YCB_DIR, ../shared/data/ycb and the download folder are tried.
         preset: tabletop or paper.
         json: Also write the figures to this file.
@@ -44,14 +45,12 @@ def demo(
     from perception.frame_io import load_frame
     from reconstruction import reconstruct, save_reconstruction
     from reconstruction.files.result_folder import check_output
-    from sim_scenes.dataset import generate
     from sim_scenes.truth import load_truth
 
     config = make_preset(preset)
     check_output(out / "result", overwrite=True)
-    print("simulating a scene ...")
     shutil.rmtree(out / "scene_0000", ignore_errors=True)
-    (scene,) = generate(out, 1, seed, objects, ycb, views=1, progress=True)
+    scene = _scene(out, seed, objects, ycb)
     truth = load_truth(scene, ycb)
     print(f"mapping {len(truth.meshes)} {truth.objects[0].source} objects ...")
     reconstruction = reconstruct(load_frame(scene), config, seed)
@@ -64,11 +63,31 @@ def demo(
     print(f"open the recording with: contramap view {out / 'result'}")
 
 
+def _scene(out: Path, seed: int, objects: str, ycb: Path | None) -> Path:
+    """A simulated scene below `out`, or the shipped one where that is asked for or pybullet is missing."""
+    from importlib.util import find_spec
+
+    if objects == "auto" and find_spec("pybullet") is None:
+        print(
+            "No pybullet here (it has wheels for Python 3.10 and 3.11), so no simulator: "
+            "taking the scene that ships with the package."
+        )
+        objects = "shipped"
+    if objects == "shipped":
+        from sim_scenes.shipped_scene import unpack
+
+        return unpack(out / "scene_0000")
+    from sim_scenes.dataset import generate
+
+    print("simulating a scene ...")
+    return generate(out, 1, seed, objects, ycb, views=1, progress=True)[0]
+
+
 def compare(
     reconstruction: Reconstruction, truth: dict[int, Trimesh], rng: np.random.Generator
 ) -> list[dict[str, Any]]:
     """IoU (5 mm lattice), Chamfer distance [mm] and mean uncertainty of each true object; None: no mesh."""
-    from reconstruction.metrics import chamfer
+    from reconstruction.metrics import chamfer, mesh_iou
 
     found = {item.label: item for item in reconstruction.objects}
     rows: list[dict[str, Any]] = []
@@ -81,16 +100,6 @@ def compare(
             row["mean_uncertainty"] = item.mean_uncertainty
         rows.append(row)
     return rows
-
-
-def mesh_iou(predicted: Trimesh, true: Trimesh, spacing: float = 0.005) -> float:
-    """IoU of two watertight meshes on a cubic lattice around both."""
-    from reconstruction.metrics import grid_around, inside, iou_on_grid
-
-    low = np.minimum(predicted.bounds[0], true.bounds[0])
-    high = np.maximum(predicted.bounds[1], true.bounds[1])
-    points = grid_around((low + high) / 2, float((high - low).max()) + spacing, spacing)
-    return iou_on_grid(inside(predicted, points), true, points)
 
 
 def _print_comparison(rows: list[dict[str, Any]]) -> None:

@@ -48,8 +48,7 @@ def load_real_frames(data: Path) -> list[RealFrame]:
 
 def compare(real: RealFrame, result: Any, ycb: Path | None) -> list[dict[str, Any]]:
     """Size, watertightness and, where the truth is known, IoU and Chamfer distance of each object."""
-    from reconstruction.metrics import chamfer
-    from tools.demo import mesh_iou
+    from reconstruction.metrics import chamfer, mesh_iou
 
     rows: list[dict[str, Any]] = []
     for item in result.objects:

@@ -13,6 +13,7 @@ from reconstruction.metrics import (
     fscore_of_distances,
     hidden_and_visible_error,
     iou,
+    mesh_iou,
     mutual_distances,
     sample_surface,
 )
@@ -76,12 +77,3 @@ def fine_protocol(meshes: DeliveredMeshes, case: Case, rng: np.random.Generator)
             **surface_card(mesh, predicted, true, seen, case.space.origin, rng),
         }
     return found
-
-
-def mesh_iou(a: Solid, b: Solid, spacing: float) -> float:
-    """IoU of the insides of two closed meshes, counted on a grid of `spacing` [m] over both of them."""
-    low = np.minimum(a.mesh.bounds[0], b.mesh.bounds[0])
-    high = np.maximum(a.mesh.bounds[1], b.mesh.bounds[1])
-    axes = [np.arange(o + spacing / 2, h, spacing) for o, h in zip(low, high)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-    return iou(a.inside(grid), b.inside(grid))
