@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from mapping.errors import FrameError
 from perception.camera import Camera
+from perception.checks.depth_values import without_sentinels
+from perception.checks.intrinsics import check_intrinsics
 
 PLAUSIBLE_DEPTH = (0.05, 20.0)
 """Median depth [m] outside this range means that the unit is wrong."""
@@ -21,7 +24,10 @@ class Frame:
     camera: intrinsics and pose, same image size.
     rgb: (H, W, 3) uint8 or None. labels: (H, W) uint16 instance labels, 0 = background, or None.
     names: label -> object name. source: where the frame came from, for messages and scene.json.
-    Raises FrameError when sizes or types differ, depth is empty, or its unit is implausible.
+    notes: what was found odd and what was done about it, one line each. trust: what the source vouches for
+    ("unit", "kind", "K", "pose"), so that it is noted at most, never refused.
+    Raises FrameError when sizes or types differ, depth is empty, its unit is implausible, or K is another
+    image's.
     """
 
     depth: np.ndarray
@@ -30,6 +36,8 @@ class Frame:
     labels: np.ndarray | None = None
     names: dict[int, str] = field(default_factory=dict)
     source: str = "memory"
+    notes: tuple[str, ...] = ()
+    trust: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         shape = (self.camera.height, self.camera.width)
@@ -41,6 +49,10 @@ class Frame:
             )
         depth = depth.astype(np.float32)  # a copy: the caller's array stays as it was
         depth[~(np.isfinite(depth) & (depth > 0))] = np.nan
+        depth, found = without_sentinels(depth)
+        found += check_intrinsics(self.camera, self.source, "K" in self.trust)
+        if found:
+            object.__setattr__(self, "notes", (*self.notes, *found))
         measured = depth[np.isfinite(depth)]
         if measured.size == 0:
             raise FrameError(f"{self.source}: depth is empty (all pixels are 0, negative or NaN)")
@@ -77,6 +89,31 @@ class Frame:
                     "segment by depth"
                 )
             object.__setattr__(self, "labels", labels.astype(np.uint16))
+
+    @classmethod
+    def from_arrays(
+        cls,
+        depth: np.ndarray,
+        K: np.ndarray | Sequence[float],
+        masks: np.ndarray | Sequence[np.ndarray] | Mapping[int | str, np.ndarray] | None = None,
+        T_world_camera: np.ndarray | None = None,
+        names: Mapping[int, str] | None = None,
+        *,
+        rgb: np.ndarray | None = None,
+        depth_scale: float | None = None,
+        trust: Sequence[str] = (),
+    ) -> Frame:
+        """A frame from arrays in the forms people have them.
+
+        depth: (H, W) float [m], or whole numbers with depth_scale [m per unit]. K: (3, 3), or fx, fy, cx, cy
+        [px]. masks: (H, W) labels or one mask, (N, H, W) masks or a list of them (labels 1..N), or label or
+        name -> mask. T_world_camera: (4, 4), 7 numbers x y z qx qy qz qw, or {position, orientation}; OpenCV
+        axes [m]. names: label -> name. rgb: (H, W, 3) uint8. trust: see Frame. Raises FrameError.
+        """
+        from perception.inputs.arrays import frame_arguments
+
+        fields = frame_arguments(depth, K, masks, T_world_camera, names, rgb, depth_scale)
+        return cls(**fields, trust=tuple(trust))
 
     def name_of(self, label: int) -> str:
         """The object's name, or `object_<label>` when none was given."""

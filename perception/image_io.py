@@ -45,21 +45,20 @@ def read_depth_image(path: Path) -> np.ndarray:
     )
 
 
-def read_labels(path: Path) -> np.ndarray:
-    """Instance labels (H, W) uint16 from an 8-bit or 16-bit single-channel image, or an integer .npy."""
-    image = read_array(path) if path.suffix == ".npy" else _read_image(path, "a label image")[0]
-    if image.ndim != 2:
-        raise FrameError(
-            f"{path}: labels must have one channel with whole numbers, got shape {image.shape}; "
-            "a coloured picture of labels cannot be used"
-        )
-    if image.dtype == bool:
-        return image.astype(np.uint16)
-    if not np.issubdtype(image.dtype, np.integer):
-        raise FrameError(f"{path}: labels must be whole numbers (uint8 or uint16), got {image.dtype}")
-    if image.size and (image.min() < 0 or image.max() > 65535):
-        raise FrameError(f"{path}: labels must lie in 0..65535, got {image.min()}..{image.max()}")
-    return image.astype(np.uint16)
+def read_label_image(path: Path) -> np.ndarray:
+    """Labels (H, W) of an image with one channel, with a palette (its indices), or with three equal
+    channels."""
+    image, mode = _read_image(path, "a label image")
+    if image.ndim == 3:
+        colours = image[..., :3] if image.shape[2] >= 3 else image[..., :1]
+        if (colours != colours[..., :1]).any():
+            raise FrameError(
+                f"{path}: labels must have one channel with whole numbers, got {image.shape[2]} (mode "
+                f"{mode}); a "
+                "coloured picture of labels cannot be used: save the numbers, or one mask an object in masks/"
+            )
+        image = colours[..., 0]
+    return image
 
 
 def read_array(path: Path) -> np.ndarray:

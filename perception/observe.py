@@ -27,7 +27,7 @@ def observe(frame: Frame, config: PerceptionConfig | None = None, seed: int = 0)
     """
     config = config or PerceptionConfig()
     rng = np.random.default_rng(seed)
-    notes: list[str] = []
+    notes: list[str] = list(frame.notes)
     camera = frame.camera
     depth = remove_flying_pixels(frame.depth, camera, config) if config.remove_flying_pixels else frame.depth
     points = camera.back_project(depth)

@@ -130,7 +130,8 @@ def damage_rgb_size(folder: Path) -> None:
 
 
 def damage_colour_labels(folder: Path) -> None:
-    cv2.imwrite(str(folder / "labels.png"), np.ones((SIZE[1], SIZE[0], 3), np.uint8))
+    colours = np.ones((SIZE[1], SIZE[0], 3), np.uint8) * np.array([1, 2, 3], np.uint8)
+    cv2.imwrite(str(folder / "labels.png"), colours)
 
 
 def damage_no_labelled_pixel(folder: Path) -> None:

@@ -153,7 +153,7 @@ def test_other_paths_are_refused(tmp_path: Path) -> None:
         ({"width": None, "height": None}, "lacks width, height"),
         ({"depth_scale": None}, "lacks depth_scale"),
         ({"depth_scale": 0}, "depth_scale"),
-        ({"depth_scale": "mm"}, "depth_scale"),
+        ({"depth_scale": "furlong"}, "depth_scale"),
         ({"depth_scale": float("nan")}, "depth_scale"),
         ({"width": 320.5}, "width"),
         ({"K": [[float("nan"), 0, 1], [0, 1, 1], [0, 0, 1]]}, "NaN"),
@@ -185,18 +185,18 @@ def test_empty_depth_is_refused(folder: Path, value: float) -> None:
 
 
 def test_depth_arrays_of_other_types_are_refused(folder: Path) -> None:
-    np.save(folder / "depth.npy", np.full((240, 320), 700, np.uint16))
+    np.save(folder / "depth.npy", np.full((240, 320), 70, np.uint8))
     assert "metres" in refusal(folder)
     np.save(folder / "depth.npy", np.array([{}], dtype=object), allow_pickle=True)
     assert "pickled" in refusal(folder)
 
 
 def test_wrong_labels_are_refused(tabletop_frame: Frame, folder: Path) -> None:
-    Image.fromarray(np.repeat(tabletop_frame.labels[..., None], 3, 2).astype(np.uint8)).save(
-        folder / "labels.png"
-    )
+    coloured = np.repeat(tabletop_frame.labels[..., None], 3, 2).astype(np.uint8)
+    coloured[..., 0] *= 2
+    Image.fromarray(coloured).save(folder / "labels.png")
     assert "one channel" in refusal(folder)
-    Image.fromarray(tabletop_frame.labels.astype(np.float32)).save(folder / "labels.tiff")
+    Image.fromarray(tabletop_frame.labels.astype(np.float32) / 2).save(folder / "labels.tiff")
     (folder / "labels.tiff").rename(folder / "labels.png")
     assert "whole numbers" in refusal(folder)
     Image.fromarray(np.zeros((240, 320), np.uint8)).save(folder / "labels.png")
@@ -215,8 +215,8 @@ def test_wrong_names_are_refused(folder: Path, content: str) -> None:
         ({"K": None}, "lacks the array 'K'"),
         ({"depth": None}, "lacks the array 'depth'"),
         ({"depth": np.ones((240, 320), np.uint16)}, "metres"),
-        ({"depth": np.ones((240, 320, 1), np.float32)}, "2D"),
-        ({"segmap": np.ones((240, 320), np.float32)}, "integers"),
+        ({"depth": np.ones((240, 320, 2), np.float32)}, "2D"),
+        ({"segmap": np.full((240, 320), 0.5, np.float32)}, "integers"),
         ({"segmap": np.ones((24, 32), np.uint8)}, "size"),
         ({"segmap": np.array([{}], dtype=object)}, "pickled"),
         ({"rgb": np.ones((240, 320), np.uint8)}, "rgb"),

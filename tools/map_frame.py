@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from mapping.errors import ConfigError
 from reconstruction.config import TABLETOP, PipelineConfig, PresetName
+from tools.frame_source import FrameSource
 from tools.options import pipeline_config
 
 if TYPE_CHECKING:
-    from perception.frame import Frame
     from reconstruction.result import Reconstruction
 
 
@@ -26,7 +25,11 @@ def map_frame(
     intrinsics: Annotated[
         tuple[float, float, float, float] | None, tyro.conf.arg(metavar="FX FY CX CY")
     ] = None,
+    camera: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    pose: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     depth_scale: Annotated[float | None, tyro.conf.arg(metavar="M")] = None,
+    bop: Annotated[tuple[Path, int, int] | None, tyro.conf.arg(metavar="DIR SCENE IMAGE")] = None,
+    trust: tuple[Literal["unit", "kind", "K", "pose"], ...] = (),
     preset: PresetName = "tabletop",
     prior: str | None = None,
     device: str | None = None,
@@ -44,13 +47,19 @@ def map_frame(
     Example: contramap map FRAME --out result --rrd run.rrd
 
     Args:
-        frame: Frame folder (rgb.png, depth.png or depth.npy, labels.png, camera.json) or .npz file.
+        frame: Frame folder (rgb.png, depth.png or depth.npy, labels.png or masks/, camera.json or a ROS or
+            RealSense camera file), .npz file, or organised .pcd or .ply cloud; see docs/inputs.md.
         out: Result folder; must be empty or absent, or see --overwrite.
         rgb: Colour image, instead of FRAME.
-        depth: Depth image, instead of FRAME: 16-bit PNG or float .npy.
-        labels: 16-bit instance labels, 0 = background; without them the depth is segmented.
+        depth: Depth image, instead of FRAME: 16-bit PNG or TIFF, float TIFF, EXR, or .npy.
+        labels: Instance labels, 0 = background: an image, .npy, COCO JSON, or a folder of masks; without them
+            the depth is segmented.
         intrinsics: Focal lengths and principal point [px], with --depth.
-        depth_scale: Metres per stored depth unit, with --depth; 0.001 (millimetres) by default.
+        camera: Camera file instead of --intrinsics: ROS camera_info, RealSense, Open3D, BOP, or K alone.
+        pose: File with the camera's pose in the world: 4x4, x y z qx qy qz qw, or position and orientation.
+        depth_scale: Metres per stored depth unit; with --depth 0.001 (millimetres) by default.
+        bop: One image of a data set in BOP's layout, instead of FRAME: split folder, scene and image number.
+        trust: What you know to be right although it looks odd: unit, kind (z, not ray), K, pose.
         preset: tabletop (default) or paper (samples and hinge points as published).
         prior: What guesses hidden shapes: learned, or none (samples.prior; the paper preset has none).
         device: cpu, cuda or auto (map.device).
@@ -68,8 +77,8 @@ def map_frame(
 
     chosen = pipeline_config(settings, config, set, device, prior, spacing, max_uncertainty)
     check_output(out, overwrite)
-    loaded = _load(frame, rgb, depth, labels, intrinsics, depth_scale)
-    reconstruction = reconstruct(loaded, chosen, seed)
+    source = FrameSource(frame, rgb, depth, labels, intrinsics, camera, pose, depth_scale, bop, trust)
+    reconstruction = reconstruct(source.load(), chosen, seed)
     save_reconstruction(reconstruction, out, overwrite=overwrite)
     if rrd is not None:
         from reconstruction.pictures.recording import record
@@ -92,26 +101,3 @@ def print_summary(reconstruction: Reconstruction) -> None:
         print(f"note: {note}")
     stages = ", ".join(f"{stage} {ms:.0f}" for stage, ms in reconstruction.timings_ms.items())
     print(f"milliseconds: {stages}")
-
-
-def _load(
-    frame: Path | None,
-    rgb: Path | None,
-    depth: Path | None,
-    labels: Path | None,
-    intrinsics: tuple[float, float, float, float] | None,
-    depth_scale: float | None,
-) -> Frame:
-    from perception.frame_io import load_frame, load_images
-
-    if (frame is None) == (depth is None):
-        raise ConfigError("give either FRAME (a folder or .npz) or --depth with --intrinsics")
-    if frame is not None:
-        if rgb or labels or intrinsics or depth_scale is not None:
-            raise ConfigError(
-                "--rgb, --labels, --intrinsics and --depth-scale go with --depth, not with FRAME"
-            )
-        return load_frame(frame)
-    if depth is None or intrinsics is None:
-        raise ConfigError("--depth needs --intrinsics FX FY CX CY")
-    return load_images(rgb, depth, labels, intrinsics, 0.001 if depth_scale is None else depth_scale)

@@ -1,0 +1,57 @@
+"""Numbers in a depth image that are no measurement: sentinels at the far end, and lone far pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+SENTINEL_PIXELS = 20
+"""A far value that stands for "nothing" is there at least this often, to the bit."""
+SENTINEL_GAP = 1.5
+"""... and is this many times farther than everything else."""
+MOST_SENTINELS = 3
+"""Different sentinels looked for, one after another (65535, and a far clipping plane)."""
+FAR_RATIO = 1.25
+"""A lone pixel this many times farther than the nearest opening around it is an error, not a view."""
+WINDOW = 3
+"""What holds no block of this size is lone [px]."""
+
+
+def without_sentinels(depth: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Depth (H, W) float32 [m] with NaN where pixels hold a value for "no return"; and a note for each value.
+
+    Such a value is the largest, many pixels have it to the bit, and nothing lies just before it. A ray
+    through it would count as free all the way, so that tunnels are cut through objects.
+    """
+    notes: list[str] = []
+    for _ in range(MOST_SENTINELS):
+        filled = np.where(np.isnan(depth), np.float32(0), depth)
+        top = filled.max(initial=0.0)
+        at_top = filled == top
+        count = int(at_top.sum())
+        if top <= 0 or count < SENTINEL_PIXELS or count == depth.size:
+            break
+        below = float(np.where(at_top, np.float32(0), filled).max())
+        if below <= 0 or top < SENTINEL_GAP * below:
+            break
+        depth = np.where(at_top, np.float32(np.nan), depth)
+        notes.append(
+            f"{count} depth pixels hold {top:.6g} m exactly, everything else is nearer than {below:.3g} m: "
+            f"taken as "
+            "missing"
+        )
+    return depth, notes
+
+
+def without_lone_far(depth: np.ndarray) -> tuple[np.ndarray, int]:
+    """Depth (H, W) float32 [m] with NaN at lone pixels far behind everything around them; how many they
+    were."""
+    import cv2
+
+    filled = np.where(np.isnan(depth), np.float32(np.inf), depth)
+    kernel = np.ones((WINDOW, WINDOW), np.uint8)
+    opened = cv2.dilate(cv2.erode(filled, kernel), kernel)
+    lone = np.isfinite(filled) & np.isfinite(opened) & (filled > np.float32(FAR_RATIO) * opened)
+    count = int(lone.sum())
+    if not count:
+        return depth, 0
+    return np.where(lone, np.float32(np.nan), depth), count
