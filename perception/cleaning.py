@@ -10,6 +10,7 @@ from perception.config import PerceptionConfig
 from perception.depth_edges import border_pairs, connected_pieces, depth_jump
 from perception.grouping import group_by_label
 from perception.observation import SupportPlane
+from perception.quantiles import quantiles
 
 OPEN_SHARE = 0.15
 """Table-height pixels with more of their border than this outside the mask lie on the table."""
@@ -23,16 +24,18 @@ def clean_labels(
     support: SupportPlane | None,
     camera: Camera,
     config: PerceptionConfig,
+    floors: dict[int, float] | None = None,
 ) -> np.ndarray:
     """Labels (H, W) uint16 with 0 where a labelled pixel is invalid, on the table, or off its object.
 
-    points: (H, W, 3) float32 [m] in the camera frame, NaN where missing.
+    points: (H, W, 3) float32 [m] in the camera frame, NaN where missing. floors: label -> height over the
+    support plane of the support that it stands on [m], 0 where none is given.
     """
     raw = labels.reshape(-1)
     pixels = np.flatnonzero((raw > 0) & np.isfinite(points[..., 2].reshape(-1)))
     cleaned = np.zeros_like(raw)
     if support is not None and pixels.size:
-        pixels = pixels[~_on_table(points, labels, pixels, support, camera, config)]
+        pixels = pixels[~_on_table(points, labels, pixels, support, camera, config, floors or {})]
     if pixels.size:
         kept = pixels[main_clusters(points, labels, pixels, support, camera, config)]
         cleaned[kept] = raw[kept]
@@ -46,15 +49,17 @@ def _on_table(
     support: SupportPlane,
     camera: Camera,
     config: PerceptionConfig,
+    floors: dict[int, float],
 ) -> np.ndarray:
-    """Which labelled pixels (N,) see the table or what is under it: bleed of the mask."""
+    """Which labelled pixels (N,) see their support or what is under it: bleed of the mask."""
     own, label = points.reshape(-1, 3)[pixels], labels.reshape(-1)[pixels]
     height = own @ support.normal.astype(np.float32) + np.float32(support.offset)
     noise = np.float32(config.depth_noise) * own[:, 2] ** 2
     limit = np.maximum(np.float32(config.table_margin), 1.5 * noise)
-    for _, mine in group_by_label(label):
+    for name, mine in group_by_label(label):
+        height[mine] -= np.float32(floors.get(name, 0.0))
         # Nearly all of a plate or a knife lies within the noise of the table: only what is below can go.
-        if np.quantile(height[mine[:: 1 + len(mine) // 2000]], 0.95) < config.flat_height:
+        if quantiles(height[mine[:: 1 + len(mine) // 2000]], 0.95)[0] < config.flat_height:
             limit[mine] = -noise[mine]
     low = height < limit
     if low.any():

@@ -52,5 +52,9 @@ class PerceptionConfig(Checked):
     """Without labels, a piece that begins higher than this above the support does not stand on it [m]."""
     segment_minimum_area: Positive = 4e-4
     """Without labels, a piece with less visible surface than this is no object [m^2]."""
+    largest_object: Length = 1.5
+    """A label on something larger than this is skipped: it is furniture, a person, a wall [m]."""
+    other_reach: Length = 0.3
+    """Surfaces without a label are obstacles of the map within this distance of objects [m]."""
     surface_margin: Length = 0.004
     """Points within this depth of a measured surface lie on it, more at long range [m]."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -9,6 +10,10 @@ import numpy as np
 
 from perception.blocks import blocks
 from perception.camera import Camera
+
+OTHER, SUPPORT, NOTHING = -1, -2, -3
+"""What a pixel sees that sees no object: an obstacle without a label, a support, nothing measured."""
+NO_PIXELS = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,10 @@ class ObservedObject:
 
     points: (N, 3) float32 [m]; pixels: (N,) flat image indices of the same points;
     labelled: pixels that carried the label; dropped: those removed as invalid, flying or outliers.
+    floor: height of the support that it stands on [m, table frame]; rests: whether that support is seen
+    beside it. silhouette: (M,) flat indices of labelled pixels that measured nothing of it (no depth, or what
+    is seen through it); guessed: (G,) those of them, inside its outline, at which Observation.guess has a
+    depth, and guessed_points (G, 3) [m].
     """
 
     label: int
@@ -38,12 +47,33 @@ class ObservedObject:
     pixels: np.ndarray
     labelled: int
     dropped: int
+    floor: float = 0.0
+    rests: bool = True
+    silhouette: np.ndarray = field(default_factory=lambda: NO_PIXELS)
+    guessed: np.ndarray = field(default_factory=lambda: NO_PIXELS)
+    guessed_points: np.ndarray = field(default_factory=lambda: np.empty((0, 3), np.float32))
+
+    @cached_property
+    def outline(self) -> np.ndarray:
+        """(N + G, 3) float32 [m] its visible surface with what is guessed of it."""
+        return np.concatenate([self.points, self.guessed_points]) if len(self.guessed) else self.points
 
     @cached_property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper corner (3,) [m] of the visible points in the table frame."""
-        axes = np.ascontiguousarray(self.points.T)  # NumPy is slow at the least of a few numbers a row
+        """Lower and upper corner (3,) [m] of the visible surface, guessed parts too, in the table frame."""
+        axes = np.ascontiguousarray(self.outline.T)  # NumPy is slow at the least of a few numbers a row
         return axes.min(1), axes.max(1)
+
+
+@dataclass(frozen=True)
+class OtherSurface:
+    """Measured surface near objects that carries no label and is no support: obstacles.
+
+    points: (N, 3) float32 [m] in the table frame; pixels: (N,) flat image indices of the same points.
+    """
+
+    points: np.ndarray = field(default_factory=lambda: np.empty((0, 3), np.float32))
+    pixels: np.ndarray = field(default_factory=lambda: NO_PIXELS)
 
 
 @dataclass(frozen=True)
@@ -62,7 +92,11 @@ class Observation:
     depth: (H, W) float32 [m], NaN where missing or removed; labels: (H, W) uint16 after cleaning.
     T_table_camera: (4, 4); the table frame's origin lies on the support plane below the objects.
     objects: in the order their pixels are met in the image, so renumbering labels changes nothing.
-    support: None when no plane was found; then the table frame is the camera frame.
+    support: None when no plane was found; then the table frame is the camera frame. levels: heights [m] of
+    all supports over that one, its own 0 among them. other: obstacles without a label, as far as they are
+    near objects. seen: (H, W) int32 what each pixel sees: a label, OTHER, SUPPORT or NOTHING.
+    guess: (H, W) float32 depth [m] guessed where an object's silhouette measured nothing, NaN elsewhere, or
+    None.
     """
 
     camera: Camera
@@ -73,19 +107,29 @@ class Observation:
     objects: tuple[ObservedObject, ...]
     skipped: tuple[Skipped, ...] = ()
     notes: tuple[str, ...] = field(default=())
+    levels: tuple[float, ...] = (0.0,)
+    other: OtherSurface = field(default_factory=OtherSurface)
+    seen: np.ndarray | None = None
+    guess: np.ndarray | None = None
 
     def near_objects(self, points: np.ndarray, distance: float) -> np.ndarray:
         """Which points (N, 3) of the table frame lie within `distance` [m] of an object's box: (N,) bool."""
-        near = np.zeros(len(points), bool)
-        for block in blocks(len(points)):
-            axes = np.ascontiguousarray(points[block].T)
-            first, last = axes.min(1), axes.max(1)
-            for item in self.objects:
-                low, high = item.bounds
-                # Points come in the order of space: most boxes are far from a whole block.
-                if max((low - last).max(), (first - high).max()) < distance:
-                    near[block] |= _near_box(axes, low, high, distance)
-        return near
+        return near_boxes(points, [item.bounds for item in self.objects], distance)
+
+
+def near_boxes(
+    points: np.ndarray, boxes: Sequence[tuple[np.ndarray, np.ndarray]], distance: float
+) -> np.ndarray:
+    """Which points (N, 3) lie within `distance` [m] of any box, given by its two corners (3,): (N,) bool."""
+    near = np.zeros(len(points), bool)
+    for block in blocks(len(points)):
+        axes = np.ascontiguousarray(points[block].T)
+        first, last = axes.min(1), axes.max(1)
+        for low, high in boxes:
+            # Points come in the order of space: most boxes are far from a whole block.
+            if max((low - last).max(), (first - high).max()) < distance:
+                near[block] |= _near_box(axes, low, high, distance)
+    return near
 
 
 def _near_box(axes: np.ndarray, low: np.ndarray, high: np.ndarray, distance: float) -> np.ndarray:

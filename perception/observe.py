@@ -11,10 +11,27 @@ from perception.config import PerceptionConfig
 from perception.depth_edges import remove_flying_pixels
 from perception.frame import Frame
 from perception.grouping import group_by_label
-from perception.observation import Observation, ObservedObject, Skipped, SupportPlane
+from perception.observation import (
+    NO_PIXELS,
+    OTHER,
+    Observation,
+    ObservedObject,
+    OtherSurface,
+    Skipped,
+    SupportPlane,
+    near_boxes,
+)
+from perception.quantiles import quantiles
 from perception.segmentation import segment
+from perception.silhouettes import silhouettes
 from perception.support_plane import find_support_plane
+from perception.supports import Levels, find_levels
+from perception.unlabelled import what_pixels_see
 
+LITTLE_MEASURED = 0.5
+"""An object less of whose mask is measured than this is named in a note."""
+NOISY = 0.25
+"""What is smaller than its depth noise over this share has no shape that could be mapped."""
 HORIZONTAL_LEAST = 0.15
 """Below this horizontal share of the viewing direction the camera looks straight down."""
 
@@ -41,32 +58,91 @@ def observe(frame: Frame, config: PerceptionConfig | None = None, seed: int = 0)
     support = find_support_plane(points, labels, config, rng) if config.use_plane else None
     if support is None:
         notes.append("no support plane: the table frame is the camera frame")
-    cleaned = clean_labels(points, labels, support, camera, config)
-    found, skipped = _split_objects(frame, labels, cleaned, config)
+    levels = Levels((0.0,), {}, frozenset())
+    if support is not None:
+        levels = find_levels(points, labels, support, camera, config)
+    cleaned = clean_labels(points, labels, support, camera, config, levels.floors)
+    found, skipped = _split_objects(frame, labels, cleaned, points, config)
     if not found:
         reasons = "; ".join(f"{item.name}: {item.reason}" for item in skipped)
         raise FrameError(f"{frame.source}: no object is left to map ({reasons})")
-    flat = points.reshape(-1, 3)
-    everything = np.concatenate([flat[pixels] for _, pixels, _ in found])
-    T_table_camera = _table_frame(support, everything)
-    objects = tuple(
-        ObservedObject(
-            label=label,
-            name=frame.name_of(label),
-            points=transform(T_table_camera, flat[pixels]),
-            pixels=pixels,
-            labelled=labelled,
-            dropped=labelled - len(pixels),
-        )
-        for label, pixels, labelled in found
-    )
     for item in skipped:
+        labels = np.where(cleaned == item.label, labels.dtype.type(0), labels)  # an obstacle like any other
         cleaned[cleaned == item.label] = 0
-    return Observation(camera, depth, cleaned, T_table_camera, support, objects, tuple(skipped), tuple(notes))
+    unmeasured, guess = silhouettes(depth, labels, cleaned, config.minimum_pixels)
+    depth, points = _without(depth, points, unmeasured)
+    flat = points.reshape(-1, 3)
+    T_table_camera = _table_frame(support, np.concatenate([flat[pixels] for _, pixels, _ in found]))
+    objects = []
+    for label, pixels, labelled in found:
+        silhouette = unmeasured.get(label, NO_PIXELS)
+        guessed = silhouette[np.isfinite(guess.reshape(-1)[silhouette])]
+        rays = camera.rays.reshape(-1, 3)[guessed]
+        objects.append(
+            ObservedObject(
+                label=label,
+                name=frame.name_of(label),
+                points=transform(T_table_camera, flat[pixels]),
+                pixels=pixels,
+                labelled=labelled,
+                dropped=labelled - len(pixels),
+                floor=levels.floors.get(label, 0.0),
+                rests=label in levels.found,
+                silhouette=silhouette,
+                guessed=guessed,
+                guessed_points=transform(T_table_camera, rays * guess.reshape(-1)[guessed, None]),
+            )
+        )
+        if len(pixels) < LITTLE_MEASURED * labelled:
+            notes.append(
+                f"{frame.name_of(label)}: only {100 * len(pixels) / labelled:.0f} % of its {labelled} "
+                "labelled pixels measured its surface; the rest of its shape is guessed"
+            )
+    seen = what_pixels_see(points, cleaned, support, levels.heights, config)
+    return Observation(
+        camera,
+        depth,
+        cleaned,
+        T_table_camera,
+        support,
+        tuple(objects),
+        tuple(skipped),
+        tuple(notes),
+        levels=levels.heights,
+        other=_near(objects, flat, np.flatnonzero(seen == OTHER), T_table_camera, config),
+        seen=seen,
+        guess=guess if np.isfinite(guess).any() else None,
+    )
+
+
+def _without(
+    depth: np.ndarray, points: np.ndarray, unmeasured: dict[int, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Depth (H, W) and points (H, W, 3) without what was measured through silhouettes."""
+    through = np.concatenate([NO_PIXELS, *unmeasured.values()])
+    if not np.isfinite(depth.reshape(-1)[through]).any():
+        return depth, points
+    depth, points = depth.copy(), points.copy()
+    depth.reshape(-1)[through] = np.nan
+    points.reshape(-1, 3)[through] = np.nan
+    return depth, points
+
+
+def _near(
+    objects: list[ObservedObject],
+    flat: np.ndarray,
+    pixels: np.ndarray,
+    T_table_camera: np.ndarray,
+    config: PerceptionConfig,
+) -> OtherSurface:
+    """Of pixels (N,) that see obstacles, those near objects. flat: (H W, 3) [m] in the camera frame."""
+    points = transform(T_table_camera, flat[pixels])
+    near = near_boxes(points, [item.bounds for item in objects], config.other_reach)
+    return OtherSurface(points[near], pixels[near])
 
 
 def _split_objects(
-    frame: Frame, labels: np.ndarray, cleaned: np.ndarray, config: PerceptionConfig
+    frame: Frame, labels: np.ndarray, cleaned: np.ndarray, points: np.ndarray, config: PerceptionConfig
 ) -> tuple[list[tuple[int, np.ndarray, int]], list[Skipped]]:
     """(label, pixels, labelled count) of each object and the skipped ones, in the order of the raw image."""
     raw, clean = labels.reshape(-1), cleaned.reshape(-1)
@@ -82,9 +158,27 @@ def _split_objects(
                 f"at least {config.minimum_pixels} are needed"
             )
             skipped.append(Skipped(label, frame.name_of(label), reason))
+        elif (too := _out_of_scale(points.reshape(-1, 3)[pixels], config)) is not None:
+            skipped.append(Skipped(label, frame.name_of(label), too))
         else:
             found.append((label, pixels, len(group)))
     return found, skipped
+
+
+def _out_of_scale(points: np.ndarray, config: PerceptionConfig) -> str | None:
+    """Why visible points (N, 3) [m] of an object are too large or too far to be mapped, or None."""
+    few = points[:: 1 + len(points) // 2000].T
+    low, high = np.stack([quantiles(column, 0.01, 0.99) for column in few], axis=1)
+    size, distance = float((high - low).max()), float(np.median(few[2]))
+    if size > config.largest_object:
+        return f"{size:.2f} m in size, at most {config.largest_object:g} m are mapped (largest_object)"
+    noise = config.depth_noise * distance**2
+    if noise > NOISY * size:
+        return (
+            f"{distance:.1f} m away, where depth is uncertain by {100 * noise:.0f} cm (depth_noise): too far "
+            f"for a thing of {100 * size:.0f} cm"
+        )
+    return None
 
 
 def _table_frame(support: SupportPlane | None, points: np.ndarray) -> np.ndarray:

@@ -44,24 +44,32 @@ class Sight(NamedTuple):
 class Space:
     """The space of one frame; points are (N, 3) float32 [m] in the table frame.
 
-    A pixel without depth says nothing: points on its ray are OUT_OF_VIEW, neither free nor occluded.
+    A pixel without depth says nothing: points on its ray are OUT_OF_VIEW, neither free nor occluded. Where
+    an object's silhouette measured nothing, its depth may be guessed: what lies behind that is OCCLUDED, the
+    rest of the ray OUT_OF_VIEW, for no ray was seen to pass there.
     """
 
     camera: Camera
-    depth: np.ndarray  # (H, W) float32 [m], NaN where nothing was measured
+    depth: np.ndarray  # (H, W) float32 [m], NaN where nothing was measured or guessed
     T_camera_table: np.ndarray  # (4, 4)
     has_support: bool
     config: PerceptionConfig
+    guessed: np.ndarray | None = None  # (H, W) bool, where depth is a guess; None: nowhere
 
     @classmethod
     def of(cls, observation: Observation, config: PerceptionConfig | None = None) -> Space:
         """The space that an observation shows."""
+        depth, guessed = observation.depth, None
+        if observation.guess is not None:
+            guessed = np.isfinite(observation.guess)
+            depth = np.where(guessed, observation.guess, depth)
         return cls(
             observation.camera,
-            observation.depth,
+            depth,
             invert_rigid(observation.T_table_camera),
             observation.support is not None,
             config or PerceptionConfig(),
+            guessed,
         )
 
     @property
@@ -106,6 +114,8 @@ class Space:
             # FREE, SURFACE, OCCLUDED = 0, 1, 2; all comparisons with NaN are false.
             region = (z >= -margin).view(np.int8) + (z > margin).view(np.int8)
             region[np.isnan(measured)] = Region.OUT_OF_VIEW
+            if self._framed_guess is not None:
+                region[self._framed_guess.take(pixel) & (region != Region.OCCLUDED)] = Region.OUT_OF_VIEW
             if self.has_support:
                 region[points[block, 2] < -base] = Region.BELOW_SUPPORT
             result[block] = region
@@ -115,6 +125,11 @@ class Space:
     def _framed_depth(self) -> np.ndarray:
         """Depth with a frame of NaN one pixel wide, flat: what falls outside the image is unknown."""
         return np.pad(self.depth, 1, constant_values=np.float32(np.nan)).reshape(-1)
+
+    @cached_property
+    def _framed_guess(self) -> np.ndarray | None:
+        """Where depth is a guess, framed as depth is."""
+        return None if self.guessed is None else np.pad(self.guessed, 1).reshape(-1)
 
     @cached_property
     def _projection(self) -> tuple[np.ndarray, np.ndarray]:

@@ -11,6 +11,7 @@ import numpy as np
 from perception.config import PerceptionConfig
 from perception.grouping import group_by_label
 from perception.observation import SupportPlane
+from perception.quantiles import quantiles
 
 REST_LENGTH = 0.05
 """How fast a plane loses credit with the gap between it and the objects' lowest points [m]."""
@@ -84,7 +85,7 @@ def _near_objects(around: np.ndarray, groups: list[np.ndarray], reach: float) ->
     near = np.zeros(len(around), bool)
     columns = np.ascontiguousarray(around.T)
     for group in groups:
-        low, high = np.quantile(group, [0.1, 0.9], axis=0)
+        low, high = np.stack([quantiles(column, 0.1, 0.9) for column in group.T], axis=1)
         inside = np.ones(len(around), bool)
         for column, least, most in zip(columns, low - reach, high + reach, strict=True):
             inside &= (column > least) & (column < most)
@@ -164,7 +165,7 @@ def _resting(groups: list[np.ndarray], normal: np.ndarray, offset: float, config
     for group in groups:
         height = group @ normal + offset
         above = float((height > -config.plane_threshold).mean())
-        gap = max(0.0, float(np.quantile(height, 0.05)))
+        gap = max(0.0, float(quantiles(height, 0.05)[0]))
         scores.append(max(0.0, 2 * above - 1) * np.exp(-((gap / REST_LENGTH) ** 2)))
     return float(np.mean(scores))
 
