@@ -11,9 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from mapping.errors import DataError
-
-POSE_FIELDS = 6
-"""Numbers after the ranges of a FLASER line: laser x, y, yaw, then the odometry's x, y, yaw."""
+from perception.carmen_lines import parse_flaser, parse_robotlaser
 
 LARGEST_CORRUPT_SHARE = 0.5
 """A log with more unreadable laser lines than this share is refused."""
@@ -25,7 +23,8 @@ class LaserLog:
 
     name: file name without endings. poses: (S, 3) x, y [m] and yaw [rad] of the laser in the world.
     ranges: (S, B) [m]. times: (S,) [s], as logged (some logs hold a constant).
-    corrupt_lines: laser lines that could not be read and were left out.
+    corrupt_lines: laser lines (or scans) that could not be read and were left out. beam_angles_: (B,) [rad],
+    where the log says them.
     """
 
     name: str
@@ -33,11 +32,12 @@ class LaserLog:
     ranges: np.ndarray
     times: np.ndarray
     corrupt_lines: int = 0
+    beam_angles_: np.ndarray | None = None
 
     @property
     def angles(self) -> np.ndarray:
         """(B,) beam angles [rad] in the laser's frame."""
-        return beam_angles(self.ranges.shape[1])
+        return beam_angles(self.ranges.shape[1]) if self.beam_angles_ is None else self.beam_angles_
 
 
 @dataclass(frozen=True)
@@ -58,28 +58,35 @@ def beam_angles(count: int) -> np.ndarray:
 
 
 def load_carmen(path: str | Path) -> LaserLog:
-    """Read the FLASER lines of a CARMEN log, plain or gzipped.
+    """Read the FLASER lines of a CARMEN log, plain or gzipped; without any, its ROBOTLASER1 lines.
 
     Lines that do not parse, hold NaN or negative ranges, or have another beam count than most are left out
     and counted in `corrupt_lines`. Raises DataError when the file is missing or broken, holds no laser line,
     or most of its laser lines are corrupt.
     """
     path = Path(path)
-    lines = [line for line in _read_lines(path) if line.startswith("FLASER")]
+    text = _read_lines(path)
+    tag, parse = "FLASER", parse_flaser
+    if not any(line.startswith(tag) for line in text):
+        tag, parse = "ROBOTLASER1", parse_robotlaser
+    lines = [line for line in text if line.startswith(tag)]
     if not lines:
         raise DataError(
-            f"{path}: no FLASER line; this reader wants a CARMEN log (`FLASER count ranges pose ...`)"
+            f"{path}: no FLASER or ROBOTLASER1 line; this reader wants a CARMEN log "
+            "(`FLASER count ranges pose ...`)"
         )
-    scans = [scan for scan in map(_parse_flaser, lines) if scan is not None]
+    scans = [scan for scan in map(parse, lines) if scan is not None]
     if scans:
-        beams = Counter(len(ranges) for ranges, _, _ in scans).most_common(1)[0][0]
-        scans = [scan for scan in scans if len(scan[0]) == beams]
+        beams = Counter(len(scan.ranges) for scan in scans).most_common(1)[0][0]
+        scans = [scan for scan in scans if len(scan.ranges) == beams]
     corrupt = len(lines) - len(scans)
     if corrupt > LARGEST_CORRUPT_SHARE * len(lines):
-        raise DataError(f"{path}: {corrupt} of {len(lines)} FLASER lines are corrupt; is this a CARMEN log?")
-    ranges, poses, times = (np.array(column) for column in zip(*scans))
+        raise DataError(f"{path}: {corrupt} of {len(lines)} {tag} lines are corrupt; is this a CARMEN log?")
+    ranges, poses, times = (
+        np.array([getattr(scan, name) for scan in scans]) for name in ("ranges", "pose", "time")
+    )
     name = path.name.removesuffix(".gz").removesuffix(".log").removesuffix("-corrected").removesuffix(".gfs")
-    return LaserLog(name, poses, ranges, times, corrupt)
+    return LaserLog(name, poses, ranges, times, corrupt, scans[0].angles)
 
 
 def end_points(log: LaserLog, scans: np.ndarray | None = None) -> np.ndarray:
@@ -149,19 +156,3 @@ def _read_lines(path: Path) -> list[str]:
         except (OSError, EOFError, zlib.error) as error:
             raise DataError(f"{path}: broken gzip file ({error}); fetch it again") from error
     return data.decode("ascii", errors="replace").splitlines()
-
-
-def _parse_flaser(line: str) -> tuple[np.ndarray, np.ndarray, float] | None:
-    """Ranges (B,), laser pose (3,) and time of a FLASER line, or None when it is corrupt."""
-    words = line.split()
-    try:
-        beams = int(words[1])
-        numbers = np.array(words[2 : 2 + beams + POSE_FIELDS], np.float64)
-        time = float(words[2 + beams + POSE_FIELDS])
-    except (ValueError, IndexError):
-        return None
-    if beams < 1 or numbers.size != beams + POSE_FIELDS or not np.isfinite(numbers).all():
-        return None
-    if (numbers[:beams] < 0).any():
-        return None
-    return numbers[:beams], numbers[beams : beams + 3], time

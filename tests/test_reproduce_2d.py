@@ -17,12 +17,13 @@ from mapping.baselines.residual_network import NetworkConfig
 from mapping.errors import ConfigError, DataError
 from perception.lidar import BeamConfig
 from sim_scenes.toy2d import ToyConfig
+from tools.occupancy.fit import share_occupied
 from tools.reproduce import landscape as landscape_module
 from tools.reproduce.commands import occupancy
 from tools.reproduce.hinges import HingesConfig, run_hinges
 from tools.reproduce.landscape import LANDSCAPES, PAPER_LOGS, Landscape, load_log, split_log
 from tools.reproduce.occupancy import run_occupancy
-from tools.reproduce.occupancy_methods import METHODS, OccupancyConfig, share_occupied
+from tools.reproduce.occupancy_methods import METHODS, OccupancyConfig
 from tools.reproduce.runs import cached_run, markdown_table, seconds, timed
 from tools.reproduce.toy import METHODS as TOY_METHODS
 from tools.reproduce.toy import ToyStudyConfig, run_toy

@@ -13,7 +13,8 @@ from tools.demo import demo
 from tools.evaluation.command import evaluate
 from tools.exit_code import exit_code
 from tools.map_frame import map_frame
-from tools.reproduce.commands import hinges, occupancy, toy
+from tools.occupancy.command import occupancy
+from tools.reproduce import commands as reproduced
 from tools.scaling import scaling
 from tools.simulate import fetch_ycb, scenes
 from tools.view import view
@@ -41,6 +42,7 @@ COMMANDS: dict[str, Command] = {
     "demo": demo,
     "map": map_frame,
     "view": view,
+    "occupancy": occupancy,
     "scenes": scenes,
     "fetch": fetch,
     "evaluate": evaluate,
@@ -50,7 +52,7 @@ COMMANDS: dict[str, Command] = {
 GROUPS: dict[str, dict[str, Command]] = {
     "fetch": {"ycb": fetch_ycb},
     "benchmark": {"latency": latency, "scaling": scaling},
-    "reproduce": {"toy": toy, "occupancy": occupancy, "hinges": hinges},
+    "reproduce": {"toy": reproduced.toy, "occupancy": reproduced.occupancy, "hinges": reproduced.hinges},
 }
 DESCRIPTION = (
     "RGB-D frames to metric object meshes with uncertainty. `contramap --version` says which release this is."

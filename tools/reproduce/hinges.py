@@ -11,10 +11,11 @@ import numpy as np
 
 from mapping.baselines.deep_map import DeepMap, DeepMapConfig
 from tools.evaluation.statistics import auroc
+from tools.occupancy.fit import OCCUPIED, share_occupied
 from tools.options import write_json
-from tools.reproduce.landscape import LANDSCAPES, OCCUPIED, Landscape, Split, load_log, split_log
+from tools.reproduce.landscape import LANDSCAPES, Landscape, Split, load_log, split_log
 from tools.reproduce.occupancy import KEYS, measure
-from tools.reproduce.occupancy_methods import OccupancyConfig, share_occupied, with_noise
+from tools.reproduce.occupancy_methods import OccupancyConfig, with_noise
 from tools.reproduce.runs import (
     Stopwatch,
     cached_run,

@@ -10,9 +10,6 @@ import numpy as np
 from mapping.errors import DataError
 from perception.lidar import BeamConfig, LaserLog, load_carmen, occupancy_samples, split_scans
 
-FREE, OCCUPIED, UNCERTAIN = 0, 1, 2
-"""Classes, and columns of the maps' probabilities."""
-
 
 @dataclass(frozen=True)
 class Landscape:

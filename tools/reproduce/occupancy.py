@@ -11,8 +11,9 @@ import numpy as np
 from mapping.files import temporary_beside
 from perception.lidar import LaserLog
 from tools.evaluation.statistics import auroc
+from tools.occupancy.fit import OCCUPIED
 from tools.options import write_json
-from tools.reproduce.landscape import LANDSCAPES, OCCUPIED, Landscape, Split, load_log, split_log
+from tools.reproduce.landscape import LANDSCAPES, Landscape, Split, load_log, split_log
 from tools.reproduce.occupancy_methods import METHODS, TITLES, OccupancyConfig, OccupancyMap, fit_method
 from tools.reproduce.runs import cached_run, check_choices, markdown_table, seconds, summarise, timed
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,29 +13,35 @@ from tools.reproduce.runs import save_figure
 
 def draw_maps(out: Path, log: str, landscape: Landscape, methods: tuple[str, ...], seed: int) -> None:
     """Write out/<log>_methods.png and, where ContraMap ran, out/<log>_classes.png from the runs' maps."""
-    from tools.reproduce.occupancy_methods import TITLES, share_occupied
+    from tools.occupancy.fit import share_occupied
+    from tools.reproduce.occupancy_methods import TITLES
 
-    maps = {}
+    maps, box = {}, (landscape.low, landscape.high)
     for method in methods:
         with np.load(out / "runs" / f"{log}-{method}-{seed}.npz") as stored:
             maps[method] = stored["probabilities"].astype(np.float32)
     occupancy = {TITLES[method]: share_occupied(drawn) for method, drawn in maps.items()}
-    _panels(out / f"{log}_methods.png", landscape, occupancy, "jet", "p(occupied | not uncertain)")
+    draw_panels(out / f"{log}_methods.png", box, occupancy, "jet", "p(occupied | not uncertain)")
     if "contramap" in maps:
         columns = ("free", "occupied", "uncertain")
         classes = {f"p({name})": maps["contramap"][..., i] for i, name in enumerate(columns)}
-        _panels(out / f"{log}_classes.png", landscape, classes, "viridis", "probability")
+        draw_panels(out / f"{log}_classes.png", box, classes, "viridis", "probability")
 
 
-def _panels(
-    path: Path, landscape: Landscape, fields: dict[str, np.ndarray], colours: str, label: str
+def draw_panels(
+    path: Path,
+    box: tuple[Sequence[float] | np.ndarray, Sequence[float] | np.ndarray],
+    fields: dict[str, np.ndarray],
+    colours: str,
+    label: str,
 ) -> None:
+    """Write fields (A, B) over a box (low, high corners) [m] side by side, or one above the other."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    (left, bottom), (right, top) = landscape.low, landscape.high
+    (left, bottom), (right, top) = box
     shape = (top - bottom) / (right - left)
     stacked = shape < 0.6  # wide maps go one above the other
     rows, columns = (len(fields), 1) if stacked else (1, len(fields))

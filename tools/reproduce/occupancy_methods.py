@@ -10,11 +10,19 @@ import numpy as np
 
 from mapping.baselines.bayesian_hilbert import BayesianHilbertConfig, BayesianHilbertMap
 from mapping.baselines.hilbert import HilbertMap
-from mapping.config import FitConfig, MapConfig
+from mapping.config import MapConfig
 from mapping.contramap import ContraMap
-from mapping.samples import merge_in_cells
 from perception.lidar import BeamConfig
-from tools.reproduce.landscape import UNCERTAIN, Landscape, Split
+from tools.occupancy.fit import (
+    UNCERTAIN,
+    OccupancyMapConfig,
+    draw,
+    fit_occupancy,
+    merged,
+    occupancy_of,
+    standard_deviation,
+)
+from tools.reproduce.landscape import Landscape, Split
 
 TITLES = {
     "hilbert": "Hilbert map",
@@ -29,22 +37,9 @@ the merged samples that the Hilbert map and ContraMap learn from."""
 
 
 @dataclass(frozen=True)
-class OccupancyConfig:
-    """Settings that every method shares, and those of the maps."""
+class OccupancyConfig(OccupancyMapConfig):
+    """The map's settings, and those of its rivals and of the protocol."""
 
-    kernel_width: float = 6.71 * 0.5**2
-    """gamma times the area of a hinge point's cell; gamma is 6.71 1/m^2 on Intel's 0.5 m grid."""
-    l2: float = 1e-7
-    """Weight of the squared norm of W beside the mean cross-entropy (Hilbert map and ContraMap)."""
-    noise_weight: float = 0.1
-    """Weight of a noise sample; 1 lets noise outvote the data where they are sparse."""
-    merge_data: float = 0.35
-    """Data of one class in a cell of this many kernel standard deviations become one weighted sample, for all
-    methods but the Bayesian Hilbert map as published; 0 keeps every sample."""
-    merge_noise: float = 1.0
-    """The same for noise. Its cells may be wider, since noise is even."""
-    fit: FitConfig = field(default_factory=FitConfig)
-    """How the Hilbert map's and ContraMap's loss is minimised."""
     beams: BeamConfig = field(default_factory=BeamConfig)
     """How beams become labelled points."""
     held_out_run: int = 1
@@ -80,10 +75,10 @@ class _SoftmaxOccupancy:
         self.model = model
 
     def occupancy(self, X: np.ndarray) -> np.ndarray:
-        return share_occupied(self.model.predict_proba(X))
+        return occupancy_of(self.model, X)
 
     def draw(self, axes: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-        return self.model.predict_lattice(axes)
+        return draw(self.model, axes)
 
 
 class _BayesianOccupancy:
@@ -98,12 +93,6 @@ class _BayesianOccupancy:
         return self.model.predict_proba(lattice.reshape(-1, 2)).reshape(*lattice.shape[:2], 2)
 
 
-def share_occupied(probabilities: np.ndarray) -> np.ndarray:
-    """p_occupied / (p_occupied + p_free) of probabilities (..., 2 or 3)."""
-    free, occupied = probabilities[..., 0].astype(np.float64), probabilities[..., 1].astype(np.float64)
-    return occupied / np.maximum(free + occupied, 1e-30)
-
-
 def fit_method(
     method: str,
     split: Split,
@@ -114,30 +103,17 @@ def fit_method(
 ) -> OccupancyMap:
     """Fit the named method to the split's training points."""
     gamma, hinges = landscape.gamma(config.kernel_width), landscape.hinges
-    width = 1.0 / np.sqrt(2.0 * gamma)  # the kernel's standard deviation [m]
+    if method == "contramap":
+        return _SoftmaxOccupancy(fit_occupancy(split.X, split.y, split.noise, hinges, gamma, config))
     merge_data = 0.0 if method == "bayesian_hilbert" else config.merge_data
-    X, y, weights = _merged(split.X, split.y, 1.0, merge_data * width)
-    if method.startswith("bayesian_hilbert"):
-        bayesian = BayesianHilbertConfig(
-            gamma=gamma, prior_precision=config.prior_precision, iterations=config.bayesian_iterations
-        )
-        model = BayesianHilbertMap(bayesian).fit(X, y, hinges, rng, progress, weights)
-        return _BayesianOccupancy(model)
-    map_config = MapConfig(gamma=gamma, l2=config.l2, fit=config.fit)
+    X, y, weights = merged(split.X, split.y, 1.0, merge_data * standard_deviation(gamma))
     if method == "hilbert":
-        return _SoftmaxOccupancy(HilbertMap(map_config).fit(X, y, hinges=hinges, weights=weights))
-    uncertain = np.full(len(split.noise), UNCERTAIN)
-    noise = _merged(split.noise, uncertain, config.noise_weight, config.merge_noise * width)
-    X, y, weights = (np.concatenate(pair) for pair in zip((X, y, weights), noise))
-    return _SoftmaxOccupancy(ContraMap(map_config).fit(X, y, hinges=hinges, weights=weights))
-
-
-def _merged(
-    X: np.ndarray, y: np.ndarray, weight: float, size: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Samples (M, 2), classes and weights (M,) that stand for X (N, 2) with `weight` each."""
-    weights = np.full(len(X), weight)
-    return merge_in_cells(X, y, weights, size) if size else (X, y, weights)
+        model = HilbertMap(MapConfig(gamma=gamma, l2=config.l2, fit=config.fit))
+        return _SoftmaxOccupancy(model.fit(X, y, hinges=hinges, weights=weights))
+    bayesian = BayesianHilbertConfig(
+        gamma=gamma, prior_precision=config.prior_precision, iterations=config.bayesian_iterations
+    )
+    return _BayesianOccupancy(BayesianHilbertMap(bayesian).fit(X, y, hinges, rng, progress, weights))
 
 
 def with_noise(split: Split, noise_weight: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
