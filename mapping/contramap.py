@@ -7,6 +7,7 @@ This module knows points and classes; it knows nothing of cameras, images, objec
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ from mapping.errors import ConfigError, DataError
 from mapping.hinges import grid_around
 from mapping.kernels import PREDICT_CUTOFF, blocks, dense_features
 from mapping.lattice import LatticeEvaluator
+from mapping.map_file import StoredMap, write_map
 from mapping.preconditioner import sparse_factor
 from mapping.softmax import FitReport, fit_softmax
 from mapping.sparse_features import sparse_features
@@ -157,11 +159,12 @@ class ContraMap:
         return probability.cpu().numpy(), (1 - empty).cpu().numpy(), gradient.cpu().numpy()
 
     def save(self, path: str | Path) -> None:
-        """Write the map as one .npz file (see model_io)."""
-        from mapping.model_io import save_map
-
+        """Write the map as one .npz file; read it with mapping.load_map."""
         self._check_fitted()
-        save_map(self, Path(path))
+        W, offset = self.W.cpu().numpy(), self.offset.cpu().numpy()
+        losses, converged = self.report.losses, self.report.converged
+        stored = StoredMap(self.hinges, self.gamma, W, offset, losses, converged, asdict(self.config))
+        write_map(stored, Path(path))
 
     def _check_fitted(self) -> None:
         if not len(self.W) or len(self.W) != len(self.hinges):
