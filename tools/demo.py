@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +10,7 @@ import tyro
 
 from reconstruction.config import PresetName
 from reconstruction.config import preset as make_preset
+from tools.demo_folder import clear_scene, remember_scene
 from tools.map_frame import print_summary
 from tools.options import write_json
 
@@ -49,8 +49,9 @@ def demo(
 
     config = make_preset(preset)
     check_output(out / "result", overwrite=True)
-    shutil.rmtree(out / "scene_0000", ignore_errors=True)
+    clear_scene(out, "scene_0000")
     scene = _scene(out, seed, objects, ycb)
+    remember_scene(out, scene)
     truth = load_truth(scene, ycb)
     print(f"mapping {len(truth.meshes)} {truth.objects[0].source} objects ...")
     reconstruction = reconstruct(load_frame(scene), config, seed)

@@ -77,6 +77,10 @@ def map_frame(
 
     chosen = pipeline_config(settings, config, set, device, prior, spacing, max_uncertainty)
     check_output(out, overwrite)
+    if rrd is not None:
+        from reconstruction.pictures.recording import check_recording
+
+        check_recording(rrd)
     source = FrameSource(frame, rgb, depth, labels, intrinsics, camera, pose, depth_scale, bop, trust)
     reconstruction = reconstruct(source.load(), chosen, seed)
     save_reconstruction(reconstruction, out, overwrite=overwrite)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 from mapping.errors import ConfigError, DataError
+from mapping.files import write_atomically
 from mapping.settings import override
 from reconstruction.config import PipelineConfig, with_prior
 
@@ -57,16 +57,21 @@ def nested_setting(text: str) -> dict[str, Any]:
 
 
 def write_json(figures: dict[str, Any], path: Path | None) -> None:
-    """Write figures to a temporary name and rename; None writes nothing."""
+    """Write figures to a temporary name and rename; None writes nothing.
+
+    Raises ConfigError when a file is there that is no JSON, and so is not replaced.
+    """
     if path is None:
         return
-    partial = path.with_name(path.name + ".part")
+    if path.is_dir():
+        raise ConfigError(f"{path} is a folder; figures need a file name")
+    if path.is_file() and path.stat().st_size and path.read_bytes()[:1] not in (b"{", b"["):
+        raise ConfigError(f"{path} is there and is no JSON, so it is not replaced; name another file")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(json.dumps(figures, indent=2) + "\n")
-        os.replace(partial, path)
     except OSError as error:
         raise DataError(f"{path}: cannot write the figures ({error.strerror})") from error
+    write_atomically(path, (json.dumps(figures, indent=2) + "\n").encode())
 
 
 def read_settings(path: Path) -> dict[str, Any]:

@@ -1,8 +1,13 @@
-"""Meshes with uncertainty as PLY files, and plain meshes as OBJ files, in metres."""
+"""Meshes with uncertainty as PLY files, and plain meshes as OBJ files, in metres; and what is read back.
+
+Vertices are written in double precision: world frames may have their origin thousands of kilometres away.
+"""
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -10,19 +15,15 @@ import trimesh
 from mapping.errors import DataError
 from reconstruction.pictures.palette import uncertainty_colours
 
-VERTEX = np.dtype(
-    [
-        ("x", "<f4"),
-        ("y", "<f4"),
-        ("z", "<f4"),
-        ("red", "u1"),
-        ("green", "u1"),
-        ("blue", "u1"),
-        ("uncertainty", "<f4"),
-    ]
-)
+Properties = list[tuple[str, str]]
+MORE: Properties = [("red", "u1"), ("green", "u1"), ("blue", "u1"), ("uncertainty", "<f4")]
+VERTEX = np.dtype([("x", "<f8"), ("y", "<f8"), ("z", "<f8"), *MORE])
+OLDER_VERTEX = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), *MORE])
+"""Written by earlier versions; still read."""
 FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
-PLY_TYPES = {"f4": "float", "u1": "uchar", "i4": "int"}
+PLY_TYPES = {"f8": "double", "f4": "float", "u1": "uchar", "i4": "int"}
+OBJ_DECIMALS = 8
+"""10 nanometres: no two vertices of a mesh are that near to each other."""
 
 
 def encode_ply(mesh: trimesh.Trimesh, uncertainty: np.ndarray) -> bytes:
@@ -36,13 +37,13 @@ def encode_ply(mesh: trimesh.Trimesh, uncertainty: np.ndarray) -> bytes:
     vertices["uncertainty"] = np.clip(uncertainty, 0, 1)
     faces = np.empty(len(mesh.faces), FACE)
     faces["count"], faces["corners"] = 3, mesh.faces
-    return _header(len(vertices), len(faces)).encode() + vertices.tobytes() + faces.tobytes()
+    return _header(VERTEX, len(vertices), len(faces)).encode() + vertices.tobytes() + faces.tobytes()
 
 
 def decode_ply(path: Path) -> tuple[trimesh.Trimesh, np.ndarray]:
     """Mesh [m] and p(uncertain) (V,) float32 of a file made by encode_ply.
 
-    Raises DataError when the file is missing, cut short or of another layout.
+    Raises DataError when the file is missing, cut short, of another layout or holds NaN.
     """
     try:
         content = path.read_bytes()
@@ -52,30 +53,51 @@ def decode_ply(path: Path) -> tuple[trimesh.Trimesh, np.ndarray]:
     header = content[:end].decode("ascii", errors="replace")
     words = [line.split() for line in header.splitlines() if line.startswith("element ")]
     counts = [int(line[2]) for line in words if len(line) == 3 and line[2].isdigit()]
-    if len(counts) != 2 or header != _header(*counts):
+    layouts = (VERTEX, OLDER_VERTEX)
+    layout = next((kind for kind in layouts if len(counts) == 2 and header == _header(kind, *counts)), None)
+    if layout is None:
         raise DataError(f"{path}: not a mesh of a result folder (another PLY header); map the frame again")
-    faces_start = end + counts[0] * VERTEX.itemsize
+    faces_start = end + counts[0] * layout.itemsize
     size = faces_start + counts[1] * FACE.itemsize
     if len(content) != size:
         raise DataError(f"{path}: {len(content)} bytes instead of {size}, cut short? Map the frame again")
-    vertices = np.frombuffer(content, VERTEX, counts[0], end)
+    vertices = np.frombuffer(content, layout, counts[0], end)
     faces = np.frombuffer(content, FACE, counts[1], faces_start)["corners"]
     if len(faces) and not (faces.min() >= 0 and faces.max() < counts[0]):
         raise DataError(f"{path}: faces point to vertices that do not exist; map the frame again")
     points = np.stack([vertices[axis] for axis in "xyz"], axis=1).astype(np.float64)
+    if not (np.isfinite(points).all() and np.isfinite(vertices["uncertainty"]).all()):
+        raise DataError(f"{path}: vertices hold NaN or infinite values; map the frame again")
     return trimesh.Trimesh(points, faces, process=False), vertices["uncertainty"].copy()
 
 
 def encode_obj(mesh: trimesh.Trimesh) -> bytes:
-    """Wavefront OBJ with positions [m, to the micrometre] and triangles only, which every planner reads."""
-    vertices = "".join(f"v {x:.6f} {y:.6f} {z:.6f}\n" for x, y, z in mesh.vertices.tolist())
+    """Wavefront OBJ with positions [m, to 10 nanometres] and triangles only, which every planner reads."""
+    vertices = "".join(
+        f"v {x:.{OBJ_DECIMALS}f} {y:.{OBJ_DECIMALS}f} {z:.{OBJ_DECIMALS}f}\n"
+        for x, y, z in mesh.vertices.tolist()
+    )
     faces = "".join(f"f {a} {b} {c}\n" for a, b, c in (mesh.faces + 1).tolist())
     return ("# contramap, metres\n" + vertices + faces).encode()
 
 
-def _header(vertices: int, faces: int) -> str:
+def loads_closed(path: Path) -> bool:
+    """Whether another program finds a closed surface with consistent faces and finite vertices in a file.
+
+    trimesh's own readers are asked, which join vertices that are the same: what is closed in memory may be
+    open as a file. Raises DataError when nothing can be read.
+    """
+    try:
+        loaded: Any = trimesh.load(io.BytesIO(path.read_bytes()), file_type=path.suffix[1:], force="mesh")
+    except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
+        raise DataError(f"{path}: cannot be read back after writing ({error}); is the disk full?") from error
+    finite = bool(len(loaded.faces)) and bool(np.isfinite(loaded.vertices).all())
+    return finite and bool(loaded.is_watertight and loaded.is_winding_consistent)
+
+
+def _header(layout: np.dtype, vertices: int, faces: int) -> str:
     properties = "".join(
-        f"property {PLY_TYPES[VERTEX[name].str[1:]]} {name}\n" for name in VERTEX.names or ()
+        f"property {PLY_TYPES[layout[name].str[1:]]} {name}\n" for name in layout.names or ()
     )
     return (
         "ply\nformat binary_little_endian 1.0\ncomment contramap, metres, uncertainty = p(uncertain)\n"

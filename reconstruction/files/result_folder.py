@@ -11,26 +11,28 @@ recording.rrd                     when asked for
 
 from __future__ import annotations
 
-import json
-import os
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from uuid import uuid4
 
 import numpy as np
 import trimesh
 
-from mapping.errors import ConfigError, DataError
-from mapping.files import advice
-from reconstruction.files.mesh_files import decode_ply, encode_obj, encode_ply
+from mapping.errors import DataError
+from mapping.folders import staged_folder
+from mapping.guarded_files import read_json
+from reconstruction.files.mesh_files import decode_ply, encode_obj, encode_ply, loads_closed
+from reconstruction.files.output_folder import (
+    RECORDING,
+    SCENE,
+    check_output,
+    check_replaceable,
+    written_files,
+)
 from reconstruction.files.scene_json import FORMAT, describe, object_folder, to_json
 from reconstruction.pictures.overview import draw_overview
 from reconstruction.result import Reconstruction
-
-RECORDING = "recording.rrd"
 
 
 @dataclass(frozen=True)
@@ -70,39 +72,9 @@ def save_reconstruction(
     writing fails.
     """
     folder = check_output(folder, overwrite)
-    partial = folder.with_name(f".{folder.name[:80]}.{uuid4().hex[:12]}.part")
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        partial.mkdir()
+    may_replace = (lambda: check_replaceable(folder)) if overwrite else None
+    with staged_folder(folder, may_replace, last=SCENE) as partial:
         _write(reconstruction, partial, truth, recording)
-        _put_in_place(partial, folder)
-    except OSError as error:
-        raise DataError(
-            f"cannot write the result folder {folder}: {error.strerror or error}{advice(error)}"
-        ) from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-    return folder
-
-
-def check_output(folder: Path, overwrite: bool = False) -> Path:
-    """The absolute output folder, if a result may be written there; call it before long work.
-
-    Raises ConfigError when the folder is not empty and overwrite is False, and, even with overwrite,
-    when what is there is not a result folder.
-    """
-    folder = Path(folder).resolve()
-    if folder.exists() and not folder.is_dir():
-        raise ConfigError(f"{folder} is a file; the result needs a folder")
-    if not folder.exists() or not any(folder.iterdir()):
-        return folder
-    if not overwrite:
-        raise ConfigError(f"output folder {folder} is not empty; choose another or pass --overwrite")
-    if not _is_result(folder):
-        raise ConfigError(
-            f"{folder} is not empty and not a result folder (no scene.json of contramap), so it is not "
-            "overwritten; choose another folder or empty it"
-        )
     return folder
 
 
@@ -110,19 +82,16 @@ def load_result(folder: Path) -> StoredResult:
     """Read scene.json and all meshes; raises DataError when one is missing, cut short or not a result."""
     folder = Path(folder)
     path = folder / "scene.json"
-    try:
-        scene = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
+    if not path.is_file():
         raise DataError(
             f"{folder}: not a result folder (no scene.json); `contramap map FRAME --out DIR` makes one"
-        ) from error
-    except (OSError, ValueError) as error:
-        raise DataError(f"{path}: cannot be read ({error}); map the frame again") from error
+        )
+    scene = read_json(path, "map the frame again")
     if not isinstance(scene, dict) or scene.get("format") != FORMAT:
         raise DataError(f"{path}: not a scene.json of this version (format {FORMAT}); map the frame again")
     try:
         objects = tuple(_load_object(folder, entry) for entry in scene["objects"])
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise DataError(
             f"{path}: an object's entry is incomplete ({error!r}); map the frame again"
         ) from error
@@ -135,11 +104,15 @@ def _write(
     truth: Mapping[int, trimesh.Trimesh] | None,
     recording: bool,
 ) -> None:
+    closed: dict[int, bool] = {}
     for item in reconstruction.objects:
         place = folder / "objects" / object_folder(item.label, item.name)
         place.mkdir(parents=True)
-        (place / "mesh.ply").write_bytes(encode_ply(item.mesh, item.uncertainty))
-        (place / "mesh.obj").write_bytes(encode_obj(item.mesh))
+        ply, obj = place / "mesh.ply", place / "mesh.obj"
+        ply.write_bytes(encode_ply(item.mesh, item.uncertainty))
+        obj.write_bytes(encode_obj(item.mesh))
+        # What is promised is what other programs find in the files.
+        closed[item.label] = item.watertight and loads_closed(ply) and loads_closed(obj)
     reconstruction.map.save(folder / "map.npz")
     _write_fields(reconstruction, folder / "field.npz")
     draw_overview(reconstruction, folder / "overview.png", truth)
@@ -147,7 +120,8 @@ def _write(
         from reconstruction.pictures.recording import record
 
         record(reconstruction, folder / RECORDING, truth)
-    (folder / "scene.json").write_text(to_json(describe(reconstruction)), encoding="utf-8")
+    scene = {**describe(reconstruction, closed), "files": written_files(folder)}
+    (folder / SCENE).write_text(to_json(scene), encoding="utf-8")
 
 
 def _write_fields(reconstruction: Reconstruction, path: Path) -> None:
@@ -179,26 +153,3 @@ def _load_object(folder: Path, entry: dict[str, Any]) -> StoredObject:
         extents=np.array(entry["extents"], float).reshape(3),
         folder=path.parent,
     )
-
-
-def _is_result(folder: Path) -> bool:
-    try:
-        scene = json.loads((folder / "scene.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    return isinstance(scene, dict) and str(scene.get("format", "")).startswith("contramap-result")
-
-
-def _put_in_place(partial: Path, folder: Path) -> None:
-    """Rename the finished folder; an old result is moved aside first and deleted last."""
-    if not folder.exists():
-        os.rename(partial, folder)
-        return
-    old = folder.with_name(f".{folder.name[:80]}.{uuid4().hex[:12]}.old")
-    os.rename(folder, old)
-    try:
-        os.rename(partial, folder)
-    except OSError:
-        os.rename(old, folder)
-        raise
-    shutil.rmtree(old, ignore_errors=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import unicodedata
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +28,8 @@ PACKAGES = (
 )
 
 
-def describe(reconstruction: Reconstruction) -> dict[str, Any]:
-    """The content of scene.json."""
+def describe(reconstruction: Reconstruction, closed: Mapping[int, bool] | None = None) -> dict[str, Any]:
+    """The content of scene.json; closed: label -> whether the object's mesh files load as closed surfaces."""
     frame, observation = reconstruction.frame, reconstruction.observation
     support = observation.support
     return _plain(
@@ -40,7 +41,9 @@ def describe(reconstruction: Reconstruction) -> dict[str, Any]:
             "T_world_camera": frame.camera.T_world_camera,
             "T_world_table": reconstruction.T_world_table,
             "support_plane": None if support is None else {"inlier_ratio": support.inlier_ratio},
-            "objects": [_describe_object(item, reconstruction) for item in reconstruction.objects],
+            "objects": [
+                _describe_object(item, reconstruction, closed or {}) for item in reconstruction.objects
+            ],
             "skipped": [
                 {"label": item.label, "name": item.name, "reason": item.reason}
                 for item in reconstruction.skipped
@@ -54,7 +57,9 @@ def describe(reconstruction: Reconstruction) -> dict[str, Any]:
     )
 
 
-def _describe_object(item: ReconstructedObject, reconstruction: Reconstruction) -> dict[str, Any]:
+def _describe_object(
+    item: ReconstructedObject, reconstruction: Reconstruction, closed: Mapping[int, bool]
+) -> dict[str, Any]:
     place = f"objects/{object_folder(item.label, item.name)}"
     seen = {o.label: o for o in reconstruction.observation.objects}.get(item.label)
     return {
@@ -65,7 +70,7 @@ def _describe_object(item: ReconstructedObject, reconstruction: Reconstruction) 
         "T_world_object": item.T_world_object,
         "extents": item.extents,
         "mean_uncertainty": item.mean_uncertainty,
-        "watertight": item.watertight,
+        "watertight": closed.get(item.label, item.watertight),
         "vertices": len(item.mesh.vertices),
         "faces": len(item.mesh.faces),
         "labelled_pixels": seen.labelled if seen else None,

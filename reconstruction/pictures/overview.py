@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 from PIL import Image, ImageDraw, ImageFont
 
+from reconstruction.pictures.near_origin import near_origin
 from reconstruction.pictures.palette import object_colour, uncertainty_colours
 from reconstruction.pictures.shading import View, cast, frame_meshes
 from reconstruction.pictures.slices import slice_uncertainty, table_axes
@@ -38,7 +39,7 @@ def draw_overview(
     from mapping.files import write_atomically
 
     buffer = io.BytesIO()
-    compose_overview(reconstruction, truth).save(buffer, format="PNG")
+    compose_overview(*near_origin(reconstruction, truth)).save(buffer, format="PNG")
     write_atomically(Path(path), buffer.getvalue())
 
 

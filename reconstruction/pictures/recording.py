@@ -19,6 +19,7 @@ summary                         text
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +28,12 @@ import trimesh
 
 from mapping.errors import ConfigError
 from mapping.files import write_atomically
+from mapping.folders import check_writable
 from perception.camera import invert_rigid, transform
 from reconstruction.files.result_folder import StoredObject, StoredResult
 from reconstruction.files.scene_json import object_folder
 from reconstruction.pictures.blueprint import first_view, mesh_blueprint, run_blueprint
+from reconstruction.pictures.near_origin import near_origin, shift_of, shifted_mesh, shifted_pose
 from reconstruction.pictures.palette import EMPTY_COLOUR, UNCERTAIN_COLOUR, object_colour, uncertainty_colours
 from reconstruction.pictures.slices import slice_uncertainty, table_axes
 from reconstruction.result import ReconstructedObject, Reconstruction
@@ -39,6 +42,8 @@ Truth = Mapping[int, trimesh.Trimesh]
 TRUTH_COLOUR = (90, 200, 120, 110)
 HINGE_COLOUR = (226, 230, 236)
 SEGMENTATION_OPACITY = 0.45
+MAGIC = b"RR"
+"""How recordings of all versions of rerun begin: RRF2, RRIO."""
 POINT_RADIUS, SAMPLE_RADIUS, HINGE_RADIUS = 0.0008, 0.0018, 0.0012  # [m]
 
 
@@ -47,6 +52,7 @@ def record(reconstruction: Reconstruction, path: Path, truth: Truth | None = Non
 
     Raises ConfigError when rerun is not installed, DataError when the file cannot be written.
     """
+    reconstruction, truth = near_origin(reconstruction, truth)
     stream = _rerun().RecordingStream("contramap")
     memory = stream.memory_recording()
     stream.send_blueprint(_blueprint(reconstruction))
@@ -54,8 +60,22 @@ def record(reconstruction: Reconstruction, path: Path, truth: Truth | None = Non
     _save(stream, memory, path)
 
 
+def check_recording(path: Path) -> None:
+    """Raise ConfigError when a file is there that is no recording, and so is not replaced; call it before
+    long work."""
+    path = Path(path)
+    if path.is_dir():
+        raise ConfigError(f"{path} is a folder; the recording needs a file name, such as {path / 'run.rrd'}")
+    if path.is_file() and path.stat().st_size and not path.read_bytes()[:4].startswith(MAGIC):
+        raise ConfigError(
+            f"{path} is there and is no rerun recording, so it is not replaced; name another file"
+        )
+    check_writable(path.absolute().parent)
+
+
 def show(reconstruction: Reconstruction, truth: Truth | None = None) -> None:
     """Open the rerun viewer and send the run to it; needs a display."""
+    reconstruction, truth = near_origin(reconstruction, truth)
     stream = _rerun().RecordingStream("contramap")
     stream.spawn(default_blueprint=_blueprint(reconstruction))
     _log_run(stream, reconstruction, truth)
@@ -68,9 +88,11 @@ def record_stored(result: StoredResult, path: Path) -> None:
     memory = stream.memory_recording()
     stream.send_blueprint(mesh_blueprint())
     T_world_table = np.array(result.scene.get("T_world_table") or np.eye(4), float).reshape(4, 4)
+    shift = shift_of(T_world_table)
+    T_world_table = shifted_pose(T_world_table, shift)
     _log_table(stream, T_world_table, upright=result.scene.get("support_plane") is not None)
     for index, item in enumerate(result.objects):
-        _log_mesh(stream, item, object_colour(index))
+        _log_mesh(stream, replace(item, mesh=shifted_mesh(item.mesh, shift)), object_colour(index))
     timings = {str(stage): float(value) for stage, value in result.scene.get("timings_ms", {}).items()}
     _log_text(stream, "\n".join(_object_lines(result.objects) + _timing_lines(timings)))
     _save(stream, memory, path)

@@ -9,6 +9,7 @@ from scipy import ndimage
 from reconstruction.config import MeshConfig
 from reconstruction.surface.field import OUTSIDE, Field
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
+from reconstruction.surface.vertices_apart import apart, off_the_surface
 
 RULED_OUT = -4.0
 """Where its log odds are below this, the map is sure that a node is not of the object, seen cell or not."""
@@ -52,11 +53,9 @@ def extract_mesh(
     stop = np.max([[s.stop for s in boxes[k]] for k in kept], axis=0)
     first = np.maximum(start - 1, 0)
     values = log_odds[tuple(slice(a, b + 1) for a, b in zip(first, stop))]
-    # A node exactly on the surface makes triangles without area.
-    values = np.where(np.abs(values) < 1e-4, np.float32(-1e-4), values)
-    padded = np.pad(values, 1, constant_values=OUTSIDE)
+    padded = np.pad(off_the_surface(values), 1, constant_values=OUTSIDE)
     vertices, faces, _, _ = marching_cubes(padded, 0.0, gradient_direction="ascent", allow_degenerate=False)
-    nodes = vertices - 1 + first + [o.start for o in occupied]
+    nodes = apart(vertices) - 1 + first + [o.start for o in occupied]
     limit = np.array(uncertainty.shape) - 1
     at_vertices = ndimage.map_coordinates(uncertainty, np.clip(nodes, 0, limit).T, order=1)
     mesh = trimesh.Trimesh(corner + field.spacing * nodes, faces, process=False)
