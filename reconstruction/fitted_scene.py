@@ -16,7 +16,7 @@ from mapping.contramap import ContraMap
 from mapping.errors import ConfigError
 from perception.frame import Frame
 from perception.observation import Observation
-from perception.observe import observe
+from perception.observing import observe
 from perception.space import Space
 from reconstruction.config import PaperSamples, PipelineConfig
 from reconstruction.samples.paper import draw_paper

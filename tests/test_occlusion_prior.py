@@ -10,7 +10,7 @@ from conftest import OBJECTS, Shape, make_tabletop
 
 from mapping.errors import DataError
 from perception.camera import invert_rigid, transform
-from perception.observe import observe
+from perception.observing import observe
 from perception.space import Space
 from reconstruction.prior.evidence import BORDER_REACH_PX, Border, RayLookup, hidden_labels
 from reconstruction.prior.features import UNKNOWN, ObjectBox, RayEvidence

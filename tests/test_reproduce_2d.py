@@ -25,8 +25,9 @@ from tools.reproduce.landscape import LANDSCAPES, PAPER_LOGS, Landscape, load_lo
 from tools.reproduce.occupancy import run_occupancy
 from tools.reproduce.occupancy_methods import METHODS, OccupancyConfig
 from tools.reproduce.runs import cached_run, markdown_table, seconds, timed
-from tools.reproduce.toy import METHODS as TOY_METHODS
-from tools.reproduce.toy import ToyStudyConfig, run_toy
+from tools.reproduce.toy import run_toy
+from tools.reproduce.toy_methods import METHODS as TOY_METHODS
+from tools.reproduce.toy_methods import ToyStudyConfig
 
 RADISH = Path(__file__).parents[1] / ".." / "shared" / "data" / "radish"
 TINY_TOY = ToyStudyConfig(

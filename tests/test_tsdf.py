@@ -8,7 +8,7 @@ from conftest import Shape, make_tabletop
 
 from perception.frame import Frame
 from perception.observation import Observation
-from perception.observe import observe
+from perception.observing import observe
 from perception.space import Region, Space
 from tools.evaluation.fitted_map import View
 from tools.evaluation.tsdf import TRUNCATION, VOXEL, FittedTsdf

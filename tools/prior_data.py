@@ -15,7 +15,7 @@ import numpy as np
 from mapping.errors import FrameError
 from mapping.samples import shift_along_rays
 from perception.camera import transform
-from perception.observe import observe
+from perception.observing import observe
 from perception.space import Space
 from reconstruction.prior.evidence import RayLookup
 from reconstruction.prior.features import LATTICE, ObjectBox, RayEvidence, channels

@@ -15,7 +15,7 @@ from perception import load_frame
 from perception.camera import invert_rigid
 from perception.frame import Frame
 from perception.observation import Observation
-from perception.observe import observe
+from perception.observing import observe
 from perception.space import Region, Space
 from reconstruction.solid import Solid
 from sim_scenes.truth import load_truth

@@ -37,7 +37,8 @@ def toy(
         overwrite: Compute again what is there already.
         json: Also write the figures to this file.
     """
-    from tools.reproduce.toy import METHODS, TOY_SETS, run_toy, toy_table
+    from tools.reproduce.toy import TOY_SETS, run_toy, toy_table
+    from tools.reproduce.toy_methods import METHODS
 
     summary = run_toy(out, sets or TOY_SETS, methods or METHODS, _seeds(seed, repeats), overwrite=overwrite)
     _report(summary, toy_table(summary), out / "uncertainty.png", json)

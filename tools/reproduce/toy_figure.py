@@ -23,7 +23,7 @@ def draw_toy(
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    from tools.reproduce.toy import TITLES
+    from tools.reproduce.toy_methods import TITLES
 
     figure, axes = plt.subplots(
         len(toys),
