@@ -11,8 +11,8 @@ import numpy as np
 from perception.blocks import blocks
 from perception.camera import Camera
 
-OTHER, SUPPORT, NOTHING = -1, -2, -3
-"""What a pixel sees that sees no object: an obstacle without a label, a support, nothing measured."""
+NOTHING, OTHER, SUPPORT = -1, -2, -3
+"""What a pixel sees that sees no object: nothing measured, an obstacle without a label, a support."""
 NO_PIXELS = np.empty(0, np.int64)
 
 

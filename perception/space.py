@@ -54,6 +54,7 @@ class Space:
     T_camera_table: np.ndarray  # (4, 4)
     has_support: bool
     config: PerceptionConfig
+    floor: float = 0.0  # height of the support [m]; what is under it is BELOW_SUPPORT
     guessed: np.ndarray | None = None  # (H, W) bool, where depth is a guess; None: nowhere
 
     @classmethod
@@ -69,7 +70,7 @@ class Space:
             invert_rigid(observation.T_table_camera),
             observation.support is not None,
             config or PerceptionConfig(),
-            guessed,
+            guessed=guessed,
         )
 
     @property
@@ -117,7 +118,7 @@ class Space:
             if self._framed_guess is not None:
                 region[self._framed_guess.take(pixel) & (region != Region.OCCLUDED)] = Region.OUT_OF_VIEW
             if self.has_support:
-                region[points[block, 2] < -base] = Region.BELOW_SUPPORT
+                region[points[block, 2] < np.float32(self.floor) - base] = Region.BELOW_SUPPORT
             result[block] = region
         return result
 

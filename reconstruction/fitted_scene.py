@@ -6,7 +6,7 @@ pictures. Steps are taken when they are first asked for, each once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,6 +24,13 @@ from reconstruction.samples.tabletop import draw_tabletop
 from reconstruction.samples.training_set import TrainingSet
 from reconstruction.surface.field import Field, evaluate_field
 from reconstruction.surface.meshing import extract_mesh
+
+OTHER_MARGIN = 0.03
+"""Obstacles without a label are mapped this far around what is seen of them [m]."""
+OTHER_COARSER = 2
+"""Their lattice is this many times as coarse as the objects'."""
+BELOW_FLOOR = 0.02
+"""Objects are looked for a little below their support, so that their surface can end there [m]."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +80,8 @@ class FittedScene:
 
     @cached_property
     def map(self) -> ContraMap:
-        """The fitted map: class 0 empty space, k the k-th observed object, the last "uncertain"."""
+        """The fitted map: class 0 empty space, k the k-th observed object, then obstacles without a label if
+        there are any, the last "uncertain"."""
         training = self.samples
         return ContraMap(self.config.map).fit(
             training.X, training.y, hinges=training.hinges, gamma=training.gamma
@@ -83,7 +91,7 @@ class FittedScene:
     def field(self) -> Field:
         """The map on a lattice, wherever an object can be."""
         mesh = self.config.mesh
-        return evaluate_field(self.map, *self.boxes, mesh.spacing, self.floor, mesh.confined)
+        return evaluate_field(self.map, *self.boxes, mesh.spacing, self.floors, mesh.confined)
 
     @cached_property
     def meshes(self) -> list[Surface | None]:
@@ -94,6 +102,27 @@ class FittedScene:
         )
         return [found and Surface(*found) for found in extracted]
 
+    @cached_property
+    def other(self) -> Surface | None:
+        """The surface of all obstacles without a label near objects; None where the map has no such class."""
+        if self.other_class is None:
+            return None
+        points, mesh = self.observation.other.points, self.config.mesh
+        points = points[self.observation.near_objects(points, self.config.samples.radius)]
+        low, high = points.min(0) - OTHER_MARGIN, points.max(0) + OTHER_MARGIN
+        spacing = OTHER_COARSER * mesh.spacing
+        floors = None if self.floor is None else [self.floor]
+        own = [self.other_class]
+        lattice = evaluate_field(self.map, low[None], high[None], spacing, floors, False, own)
+        found = extract_mesh(lattice, 0, replace(mesh, smallest_part=0.0), points)
+        return found and Surface(*found)
+
+    @property
+    def other_class(self) -> int | None:
+        """The class of obstacles without a label, after the objects' and before "uncertain"; None: none."""
+        own = len(self.observation.objects) + 1
+        return own if self.samples.y.shape[1] == own + 2 else None
+
     @property
     def boxes(self) -> tuple[np.ndarray, np.ndarray]:
         """Where each object can be."""
@@ -102,7 +131,15 @@ class FittedScene:
     @property
     def floor(self) -> float | None:
         """Height [m] below which no object can be; None when no support was found."""
-        return self.config.mesh.floor if self.observation.support is not None else None
+        return None if self.floors is None else min(self.floors)
+
+    @property
+    def floors(self) -> list[float] | None:
+        """Height [m] below which each object cannot be; None when no support was found."""
+        lowest = self.config.mesh.floor
+        if self.observation.support is None or lowest is None:
+            return None
+        return [item.floor + lowest for item in self.observation.objects]
 
 
 def generator(seed: int) -> np.random.Generator:
@@ -115,10 +152,11 @@ def generator(seed: int) -> np.random.Generator:
 def object_space(observation: Observation, margin: float) -> tuple[np.ndarray, np.ndarray]:
     """Boxes (K, 3), (K, 3) [m] in the table frame that hold every place where an object can be.
 
-    What is hidden of an object reaches no further than `margin` beyond what is seen of it.
+    What is hidden of an object reaches no further than `margin` beyond what is seen of it, or down to its
+    support.
     """
     lows, highs = (np.array(b) for b in zip(*(o.bounds for o in observation.objects)))
     lows, highs = lows - margin, highs + margin
     if observation.support is not None:
-        lows[:, 2] = np.maximum(lows[:, 2], -0.02)
+        lows[:, 2] = np.array([item.floor for item in observation.objects]) - BELOW_FLOOR
     return lows, highs

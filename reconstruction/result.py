@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,8 @@ import trimesh
 from perception.camera import invert_rigid, transform
 from perception.frame import Frame
 from perception.observation import Observation, Skipped
+from perception.space import Space
+from reconstruction.query import Query, ask
 from reconstruction.surface.agreement import Agreement, agreement_with_depth
 
 if TYPE_CHECKING:
@@ -66,18 +68,20 @@ class ObjectField:
 
 
 @dataclass(frozen=True)
-class Query:
-    """The map's answer at N points.
+class OtherObstacles:
+    """What was measured near objects and carries no label, as one surface in the world frame.
 
-    label: (N,) int most probable instance label, 0 = empty, -1 = uncertain;
-    occupancy: (N,) P(any object) among the classes other than uncertain; uncertainty: (N,) p(uncertain);
-    gradient: (N, 3) d occupancy / d point [1/m] in the world frame.
+    mesh: closed trimesh [m]; uncertainty: (V,) float32 p(uncertain) in [0, 1] at each vertex; class_index:
+    its column in the map's probabilities, after the objects'.
     """
 
-    label: np.ndarray
-    occupancy: np.ndarray
+    mesh: trimesh.Trimesh
     uncertainty: np.ndarray
-    gradient: np.ndarray
+    class_index: int
+
+    @property
+    def mean_uncertainty(self) -> float:
+        return float(self.uncertainty.mean())
 
 
 @dataclass(frozen=True)
@@ -88,7 +92,8 @@ class Reconstruction:
     samples: (N, 3) float32 [m, table frame] with sample_classes (N,): 0 empty, k object k, last uncertain.
     timings_ms: stage -> milliseconds. config: everything that was used, as plain dict.
     fields: the lattices the meshes were taken from, one an object. floor: no object is below this height
-    [m, table frame], whatever the map says there; None: unknown.
+    [m, table frame], whatever the map says there; None: unknown. other: obstacles without a label, None if
+    there are none near objects.
     """
 
     frame: Frame
@@ -105,6 +110,12 @@ class Reconstruction:
     config: dict[str, Any] = field(default_factory=dict)
     seed: int = 0
     floor: float | None = None
+    other: OtherObstacles | None = None
+
+    @cached_property
+    def space(self) -> Space:
+        """What the frame says of space: free, occluded, unseen."""
+        return Space.of(self.observation)
 
     @cached_property
     def agreement(self) -> dict[int, Agreement]:
@@ -129,7 +140,7 @@ class Reconstruction:
         ]
 
     def query(self, points: np.ndarray) -> Query:
-        """What the map says at points (N, 3) [m] in the world frame.
+        """What is at points (N, 3) [m] in the world frame: see Query for the codes of its labels.
 
         Raises DataError for points of another shape, NaN and infinite values.
         """
@@ -138,16 +149,6 @@ class Reconstruction:
         checked_points(points, dimensions=3)
         # In double precision: world frames may have their origin thousands of kilometres away.
         local = transform(invert_rigid(self.T_world_table), np.asarray(points, np.float64)).astype(np.float32)
-        probability, occupancy, gradient = self.map.predict_occupancy(local)
-        # Columns follow the observed objects: one of them may have got no mesh.
-        classes = np.array([0, *(item.label for item in self.observation.objects), -1])
-        label = classes[probability.argmax(1)]
-        if self.floor is not None:
-            below = local[:, 2] < self.floor
-            label[below], occupancy[below], gradient[below] = 0, 0, 0
-        return Query(
-            label=label,
-            occupancy=occupancy,
-            uncertainty=probability[:, -1],
-            gradient=gradient @ self.T_world_table[:3, :3].T.astype(np.float32),
-        )
+        found = ask(self.map, self.observation, self.space, self.floor, local)
+        turned = found.gradient @ self.T_world_table[:3, :3].T.astype(np.float32)
+        return replace(found, gradient=turned)

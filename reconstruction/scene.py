@@ -15,7 +15,7 @@ from perception.frame import Frame
 from perception.observation import ObservedObject, Skipped
 from reconstruction.config import PipelineConfig
 from reconstruction.fitted_scene import FittedScene, Surface
-from reconstruction.result import ObjectField, ReconstructedObject, Reconstruction
+from reconstruction.result import ObjectField, OtherObstacles, ReconstructedObject, Reconstruction
 from reconstruction.surface.field import Field, overlap, window_of, within
 
 STAGES = {
@@ -79,7 +79,18 @@ def deliver(scene: FittedScene) -> Reconstruction:
         config=scene.config.as_dict(),
         seed=scene.seed,
         floor=scene.floor,
+        other=_other(scene, T_world_table),
     )
+
+
+def _other(scene: FittedScene, T_world_table: np.ndarray) -> OtherObstacles | None:
+    """The obstacles without a label in the world frame."""
+    surface, own = scene.other, scene.other_class
+    if surface is None or own is None:
+        return None
+    vertices = transform(T_world_table, np.asarray(surface.mesh.vertices))
+    mesh = trimesh.Trimesh(vertices, surface.mesh.faces, process=False)
+    return OtherObstacles(mesh, surface.uncertainty, own)
 
 
 def _object_field(field: Field, index: int, item: ObservedObject, bounds: np.ndarray) -> ObjectField:

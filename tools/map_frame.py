@@ -94,11 +94,28 @@ def map_frame(
 
 def print_summary(reconstruction: Reconstruction) -> None:
     """Objects, what was skipped, notes and stage timings, for people."""
-    print(f"{'label':>5}  {'name':28} {'size [mm]':>15}  uncertainty  watertight")
+    from reconstruction.files.scene_json import object_notes
+
+    head = "uncertainty  watertight  labelled  measured  agreeing  support"
+    print(f"{'label':>5}  {'name':28} {'size [mm]':>15}  {head}")
+    seen = {item.label: item for item in reconstruction.observation.objects}
+    supported = reconstruction.observation.support is not None
     for item in reconstruction.objects:
         size = " x ".join(f"{1000 * side:.0f}" for side in item.extents)
         tight = "yes" if item.watertight else "NO"
-        print(f"{item.label:>5}  {item.name:28.28} {size:>15}  {item.mean_uncertainty:11.2f}  {tight}")
+        own = seen[item.label]
+        support = f"{1000 * own.floor:+.0f} mm" if supported else "none"
+        agreeing = f"{reconstruction.agreement[item.label].agreement:.0%}"
+        print(
+            f"{item.label:>5}  {item.name:28.28} {size:>15}  {item.mean_uncertainty:11.2f}  {tight:10}  "
+            f"{own.labelled:>8}  {len(own.pixels):>8}  {agreeing:>8}  {support:>7}"
+        )
+    if reconstruction.other is not None:
+        count = len(reconstruction.observation.other.pixels)
+        print(f"other  obstacles without a label near the objects: {count} measured pixels")
+    for item in reconstruction.objects:
+        if notes := object_notes(item, reconstruction):
+            print(f"note: {item.label} {item.name}: {'; '.join(notes)}")
     for skipped in reconstruction.skipped:
         print(f"skipped {skipped.label} {skipped.name}: {skipped.reason}")
     for note in [*reconstruction.notes, *reconstruction.contradictions]:

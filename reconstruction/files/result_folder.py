@@ -3,6 +3,7 @@
 scene.json                        frame, unit, objects, what was skipped, timings, configuration, versions
 objects/<label>_<name>/mesh.ply   [m, world frame], p(uncertain) at each vertex, and its colours
 objects/<label>_<name>/mesh.obj   the same surface for planners
+objects/other/mesh.ply, mesh.obj  obstacles near objects that were measured but carry no label, if any
 map.npz                           the fitted map (mapping.load_map)
 field.npz                         occupancy and p(uncertain) on each object's lattice
 overview.png                      one picture of all of it
@@ -30,7 +31,7 @@ from reconstruction.files.output_folder import (
     check_replaceable,
     written_files,
 )
-from reconstruction.files.scene_json import FORMAT, describe, object_folder, to_json
+from reconstruction.files.scene_json import FORMAT, OTHER_FOLDER, describe, object_folder, to_json
 from reconstruction.pictures.overview import draw_overview
 from reconstruction.result import Reconstruction
 
@@ -113,6 +114,11 @@ def _write(
         obj.write_bytes(encode_obj(item.mesh))
         # What is promised is what other programs find in the files.
         closed[item.label] = item.watertight and loads_closed(ply) and loads_closed(obj)
+    if reconstruction.other is not None:
+        place, other = folder / OTHER_FOLDER, reconstruction.other
+        place.mkdir(parents=True)
+        (place / "mesh.ply").write_bytes(encode_ply(other.mesh, other.uncertainty))
+        (place / "mesh.obj").write_bytes(encode_obj(other.mesh))
     reconstruction.map.save(folder / "map.npz")
     _write_fields(reconstruction, folder / "field.npz")
     draw_overview(reconstruction, folder / "overview.png", truth)

@@ -14,6 +14,7 @@ import numpy as np
 from reconstruction.result import ReconstructedObject, Reconstruction
 
 FORMAT = "contramap-result-1"
+OTHER_FOLDER = "objects/other"
 NAME_LENGTH = 48
 """Longest object name in a path; the full name is in scene.json."""
 PACKAGES = (
@@ -26,6 +27,12 @@ PACKAGES = (
     "trimesh",
     "opencv-python-headless",
 )
+
+
+LITTLE_MEASURED = 0.5
+"""An object less of whose mask is measured than this is named."""
+FOOT_HIDDEN = 0.05
+"""So is one that is seen from higher above its support on than this [m]."""
 
 
 def describe(reconstruction: Reconstruction, closed: Mapping[int, bool] | None = None) -> dict[str, Any]:
@@ -44,6 +51,8 @@ def describe(reconstruction: Reconstruction, closed: Mapping[int, bool] | None =
             "objects": [
                 _describe_object(item, reconstruction, closed or {}) for item in reconstruction.objects
             ],
+            "other": _describe_other(reconstruction),
+            "supports": _describe_supports(reconstruction),
             "skipped": [
                 {"label": item.label, "name": item.name, "reason": item.reason}
                 for item in reconstruction.skipped
@@ -75,10 +84,67 @@ def _describe_object(
         "faces": len(item.mesh.faces),
         "labelled_pixels": seen.labelled if seen else None,
         "dropped_pixels": seen.dropped if seen else None,
+        "class_index": item.class_index,
+        "measured_pixels": len(seen.pixels) if seen else None,
+        "guessed_pixels": len(seen.guessed) if seen else None,
+        "support_height": seen.floor if seen and reconstruction.observation.support is not None else None,
+        "support_seen": bool(seen and seen.rests),
+        "notes": object_notes(item, reconstruction),
         "agreement": reconstruction.agreement[item.label].agreement,
         "early_rays": reconstruction.agreement[item.label].early_rays,
         "agreement_within": reconstruction.agreement[item.label].tolerance,
     }
+
+
+def object_notes(item: ReconstructedObject, reconstruction: Reconstruction) -> list[str]:
+    """What speaks against relying on an object's result: short phrases, none if nothing does."""
+    seen = {o.label: o for o in reconstruction.observation.objects}[item.label]
+    notes = []
+    if len(seen.pixels) < LITTLE_MEASURED * seen.labelled:
+        notes.append(f"only {len(seen.pixels) / seen.labelled:.0%} of its mask measured")
+    if reconstruction.observation.support is None:
+        notes.append("no support found")
+    elif not seen.rests:
+        notes.append("support not seen beside it")
+    elif seen.bounds[0][2] - seen.floor > FOOT_HIDDEN:
+        notes.append(f"seen from {1e3 * (seen.bounds[0][2] - seen.floor):.0f} mm above its support on")
+    if _at_border(seen.pixels, reconstruction.observation.depth.shape):
+        notes.append("cut by the image's border")
+    if reconstruction.agreement[item.label].contradicts:
+        notes.append("contradicts the depth image")
+    return notes
+
+
+def _at_border(pixels: np.ndarray, shape: tuple[int, ...]) -> bool:
+    """Whether any pixel, as flat index, lies at the image's border."""
+    row, column = np.divmod(pixels, shape[1])
+    return bool(((row == 0) | (row == shape[0] - 1) | (column == 0) | (column == shape[1] - 1)).any())
+
+
+def _describe_other(reconstruction: Reconstruction) -> dict[str, Any] | None:
+    other = reconstruction.other
+    if other is None:
+        return None
+    return {
+        "mesh": f"{OTHER_FOLDER}/mesh.ply",
+        "mesh_obj": f"{OTHER_FOLDER}/mesh.obj",
+        "class_index": other.class_index,
+        "mean_uncertainty": other.mean_uncertainty,
+        "measured_pixels": len(reconstruction.observation.other.pixels),
+        "vertices": len(other.mesh.vertices),
+        "faces": len(other.mesh.faces),
+    }
+
+
+def _describe_supports(reconstruction: Reconstruction) -> list[dict[str, Any]]:
+    """Each support that was found: its height in the table frame [m], and what stands on it."""
+    observation = reconstruction.observation
+    if observation.support is None:
+        return []
+    return [
+        {"height": height, "carries": [item.label for item in observation.objects if item.floor == height]}
+        for height in observation.levels
+    ]
 
 
 def to_json(content: dict[str, Any]) -> str:

@@ -45,10 +45,12 @@ def near_origin(
         )
         for item in reconstruction.objects
     )
+    other = reconstruction.other
     moved = replace(
         reconstruction,
         frame=frame,
         objects=objects,
+        other=other and replace(other, mesh=shifted_mesh(other.mesh, shift)),
         T_world_table=shifted_pose(reconstruction.T_world_table, shift),
     )
     return moved, truth and {label: shifted_mesh(mesh, shift) for label, mesh in truth.items()}

@@ -11,7 +11,7 @@ import trimesh
 from PIL import Image, ImageDraw, ImageFont
 
 from reconstruction.pictures.near_origin import near_origin
-from reconstruction.pictures.palette import object_colour, uncertainty_colours
+from reconstruction.pictures.palette import OTHER_COLOUR, object_colour, uncertainty_colours
 from reconstruction.pictures.shading import View, cast, frame_meshes
 from reconstruction.pictures.slices import slice_uncertainty, table_axes
 from reconstruction.result import ReconstructedObject, Reconstruction
@@ -24,6 +24,7 @@ TEXT_COLOUR = (40, 44, 52)
 FAINT = (122, 128, 138)
 PAPER = (255, 255, 255)
 SIDE_AZIMUTH = 28.0  # [degrees] off the sensor's heading, so that two sides of each object show
+BESIDE = 0.03  # [m] what stands this close to the objects, without a label, is drawn in grey
 SIDE_ELEVATION = 30.0  # [degrees] above the table
 
 
@@ -50,7 +51,11 @@ def compose_overview(
     objects = reconstruction.objects
     plain = [np.tile(_colour(item), (len(item.mesh.vertices), 1)) for item in objects]
     unsure = [uncertainty_colours(item.uncertainty) for item in objects]
-    front, behind = (_side_view(reconstruction, turn) for turn in (0.0, 180.0))
+    beside = _beside(reconstruction)
+    if beside is not None:
+        grey = np.tile(OTHER_COLOUR, (len(beside.vertices), 1))
+        plain, unsure = [*plain, grey], [*unsure, grey]
+    front, behind = (_side_view(reconstruction, beside, turn) for turn in (0.0, 180.0))
     section, height = _slice_panel(reconstruction, truth)
     surface = "above the table" if reconstruction.observation.support is not None else "along up"
     panels = [
@@ -74,8 +79,23 @@ def compose_overview(
     return page
 
 
-def _side_view(reconstruction: Reconstruction, turn: float) -> View | None:
-    """Rays of a camera at `turn` [degrees] around the objects, 0 = the sensor's side."""
+def _beside(reconstruction: Reconstruction) -> trimesh.Trimesh | None:
+    """The obstacles without a label, as far as they stand among the objects: a wall would hide them."""
+    if reconstruction.other is None or not reconstruction.objects:
+        return None
+    meshes = [item.mesh for item in reconstruction.objects]
+    low = np.min([mesh.bounds[0] for mesh in meshes], axis=0) - BESIDE
+    high = np.max([mesh.bounds[1] for mesh in meshes], axis=0) + BESIDE
+    other = reconstruction.other.mesh
+    among = ((other.triangles_center > low) & (other.triangles_center < high)).all(1)
+    if not among.any():
+        return None
+    return trimesh.Trimesh(other.vertices, other.faces[among], process=False)
+
+
+def _side_view(reconstruction: Reconstruction, beside: trimesh.Trimesh | None, turn: float) -> View | None:
+    """Rays of a camera at `turn` [degrees] around the objects, 0 = the sensor's side, with what stands
+    beside them."""
     if not reconstruction.objects:
         return None
     forward, left, up = table_axes(reconstruction)
@@ -86,7 +106,8 @@ def _side_view(reconstruction: Reconstruction, turn: float) -> View | None:
     ground = None
     if reconstruction.observation.support is not None:
         ground = (up, -float(up @ reconstruction.T_world_table[:3, 3]))
-    return cast(meshes, frame_meshes(meshes, direction, up, PANEL), ground)
+    camera = frame_meshes(meshes, direction, up, PANEL)
+    return cast(meshes if beside is None else [*meshes, beside], camera, ground)
 
 
 def _paint(view: View | None, colours: list[np.ndarray]) -> Image.Image:

@@ -6,6 +6,7 @@ import numpy as np
 
 EMPTY_COLOUR = (178, 186, 196)
 UNCERTAIN_COLOUR = (253, 203, 38)
+OTHER_COLOUR = (128, 128, 132)
 OBJECT_COLOURS = (
     (66, 133, 214),
     (230, 110, 60),

@@ -34,7 +34,13 @@ from reconstruction.files.result_folder import StoredObject, StoredResult
 from reconstruction.files.scene_json import object_folder
 from reconstruction.pictures.blueprint import first_view, mesh_blueprint, run_blueprint
 from reconstruction.pictures.near_origin import near_origin, shift_of, shifted_mesh, shifted_pose
-from reconstruction.pictures.palette import EMPTY_COLOUR, UNCERTAIN_COLOUR, object_colour, uncertainty_colours
+from reconstruction.pictures.palette import (
+    EMPTY_COLOUR,
+    OTHER_COLOUR,
+    UNCERTAIN_COLOUR,
+    object_colour,
+    uncertainty_colours,
+)
 from reconstruction.pictures.slices import slice_uncertainty, table_axes
 from reconstruction.result import ReconstructedObject, Reconstruction
 
@@ -116,11 +122,13 @@ def _save(stream: Any, memory: Any, path: Path) -> None:
 def _log_run(stream: Any, reconstruction: Reconstruction, truth: Truth | None) -> None:
     has_plane = reconstruction.observation.support is not None
     _log_table(stream, reconstruction.T_world_table, upright=has_plane)
-    uncertain = _log_classes(stream, reconstruction)
+    uncertain, other = _log_classes(stream, reconstruction)
     _log_camera(stream, reconstruction)
-    _log_map(stream, reconstruction, uncertain)
+    _log_map(stream, reconstruction, uncertain, other)
     for item in reconstruction.objects:
         _log_mesh(stream, item, object_colour(item.class_index - 1))
+    if reconstruction.other is not None:
+        stream.log("world/meshes/other", _mesh3d(reconstruction.other.mesh, colour=OTHER_COLOUR), static=True)
     for label, mesh in (truth or {}).items():
         stream.log(f"world/truth/{label}", _mesh3d(mesh, colour=TRUTH_COLOUR), static=True)
     if reconstruction.objects:
@@ -135,16 +143,18 @@ def _log_table(stream: Any, T_world_table: np.ndarray, upright: bool) -> None:
     stream.log("world/table", pose, axes, static=True)
 
 
-def _log_classes(stream: Any, reconstruction: Reconstruction) -> int:
-    """Log the annotation context: instance labels keep their numbers. Returns the uncertain class's."""
+def _log_classes(stream: Any, reconstruction: Reconstruction) -> tuple[int, int]:
+    """Log the annotation context: instance labels keep their numbers. Returns those of the uncertain class
+    and of obstacles without a label."""
     objects = reconstruction.observation.objects
     taken = {item.label for item in objects}
-    uncertain = next(number for number in range(65535, 0, -1) if number not in taken)
+    uncertain, other = [number for number in range(65535, 0, -1) if number not in taken][:2]
     # Clear, so that the background of the label image shows the photo; empty samples carry their own colour.
     classes = [(0, "empty", (*EMPTY_COLOUR, 0)), (uncertain, "uncertain", (*UNCERTAIN_COLOUR, 255))]
+    classes.append((other, "other", (*OTHER_COLOUR, 255)))
     classes += [(item.label, item.name, (*object_colour(i), 255)) for i, item in enumerate(objects)]
     stream.log("world", _rerun().AnnotationContext(classes), static=True)
-    return uncertain
+    return uncertain, other
 
 
 def _log_camera(stream: Any, reconstruction: Reconstruction) -> None:
@@ -175,7 +185,7 @@ def _log_camera(stream: Any, reconstruction: Reconstruction) -> None:
         stream.log(f"world/cloud/{name}", cloud, static=True)
 
 
-def _log_map(stream: Any, reconstruction: Reconstruction, uncertain: int) -> None:
+def _log_map(stream: Any, reconstruction: Reconstruction, uncertain: int, other: int) -> None:
     """Hinge points, training samples by class, and how the fit went."""
     rr = _rerun()
     model = reconstruction.map
@@ -184,8 +194,10 @@ def _log_map(stream: Any, reconstruction: Reconstruction, uncertain: int) -> Non
     seen = reconstruction.observation.objects
     classes = reconstruction.sample_classes
     classes = classes.argmax(axis=1) if classes.ndim == 2 else classes
-    names = ["empty", *(object_folder(item.label, item.name) for item in seen), "uncertain"]
-    numbers = [0, *(item.label for item in seen), uncertain]
+    others = model.class_count - 2 - len(seen)
+    names = ["empty", *(object_folder(item.label, item.name) for item in seen), *["other"] * others]
+    names.append("uncertain")
+    numbers = [0, *(item.label for item in seen), *[other] * others, uncertain]
     for index, (name, number) in enumerate(zip(names, numbers, strict=True)):
         points = reconstruction.samples[classes == index]
         colours = EMPTY_COLOUR if index == 0 else None

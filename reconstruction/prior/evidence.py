@@ -28,8 +28,8 @@ class RayLookup:
         sight = self.space.look(points)
         unknown = np.isnan(sight.behind)
         pixel = np.maximum(sight.pixel, 0)
-        kinds = np.full(len(self.observation.objects) + 1, OTHER, np.int8)
-        kinds[[index, -1]] = OWN, BACKGROUND
+        kinds = np.full(len(self.observation.objects) + 2, OTHER, np.int8)
+        kinds[[index, -2]] = OWN, BACKGROUND
         seen = kinds.take(self._owner.take(pixel))
         seen[unknown] = UNKNOWN
         # One pixel is z / f metres wide at depth z.
@@ -40,16 +40,19 @@ class RayLookup:
 
     @cached_property
     def _owner(self) -> np.ndarray:
-        """Object index seen at each pixel (H W,) int16, the number of objects for none."""
+        """Object index seen at each pixel (H W,) int16, the number of objects for none, one more for an
+        obstacle near objects: to them, it is a thing like another object."""
         objects = self.observation.objects
         owner = np.full(self.observation.depth.size, len(objects), np.int16)
         for index, item in enumerate(objects):
             owner[item.pixels] = index
+            owner[item.guessed] = index
+        owner[self.observation.other.pixels] = len(objects) + 1
         return owner
 
     @cached_property
     def _depths(self) -> list[np.float32]:
-        flat = self.observation.depth.reshape(-1)
+        flat = self.space.depth.reshape(-1)
         return [np.float32(np.median(flat[item.pixels])) for item in self.observation.objects]
 
     @cached_property
@@ -59,7 +62,8 @@ class RayLookup:
     def _border(self, index: int) -> Border:
         if index not in self._borders:
             shape = self.observation.depth.shape
-            self._borders[index] = Border.of(self.observation.objects[index].pixels, *shape)
+            item = self.observation.objects[index]
+            self._borders[index] = Border.of(np.concatenate([item.pixels, item.guessed]), *shape)
         return self._borders[index]
 
 
@@ -121,5 +125,6 @@ def hidden_labels(
         count = len(observation.objects) + 1
         return np.full((len(points), count), 1 / count, np.float32)
     prior = prior or OcclusionPrior.load()
-    visible = [item.points for item in observation.objects]
-    return prior.distribution(visible, space.origin, RayLookup(observation, space), points)
+    visible = [item.outline for item in observation.objects]
+    floors = [item.floor for item in observation.objects]
+    return prior.distribution(visible, space.origin, RayLookup(observation, space), points, floors)

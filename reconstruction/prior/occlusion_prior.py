@@ -44,34 +44,48 @@ class OcclusionPrior:
         return _load(path, path.stat().st_mtime_ns)
 
     def distribution(
-        self, visible: Sequence[np.ndarray], origin: np.ndarray, evidence: Evidence, points: np.ndarray
+        self,
+        visible: Sequence[np.ndarray],
+        origin: np.ndarray,
+        evidence: Evidence,
+        points: np.ndarray,
+        floors: Sequence[float] | None = None,
     ) -> np.ndarray:
         """Class distribution (N, K+1) float32 over {empty, object 1..K} at points (N, 3).
 
         visible: (M, 3) float32 visible points of each object; origin: (3,) where the rays start; evidence:
-        what the rays say of points. All in the table frame [m]. Meant for hidden points; points that rays
+        what the rays say of points. All in the table frame [m]. floors: heights of the supports that the
+        objects stand on, 0 by default. Meant for hidden points; points that rays
         have passed through are the caller's to exclude.
         """
-        odds = self.log_odds(visible, origin, evidence, points)
+        odds = self.log_odds(visible, origin, evidence, points, floors)
         # Log odds compare an object with "empty", so one softmax gives every point one distribution.
         odds = np.concatenate([np.zeros((len(odds), 1), np.float32), odds], axis=1)
         odds = np.exp(odds - odds.max(axis=1, keepdims=True))
         return odds / odds.sum(axis=1, keepdims=True)
 
     def log_odds(
-        self, visible: Sequence[np.ndarray], origin: np.ndarray, evidence: Evidence, points: np.ndarray
+        self,
+        visible: Sequence[np.ndarray],
+        origin: np.ndarray,
+        evidence: Evidence,
+        points: np.ndarray,
+        floors: Sequence[float] | None = None,
     ) -> np.ndarray:
-        """Log odds (N, K) float32 of each object against its absence; OUTSIDE beyond its box or below 0."""
+        """Log odds (N, K) float32 of each object against its absence; OUTSIDE beyond its box or below its
+        floor."""
         points = np.asarray(points, np.float32)
         result = np.full((len(points), len(visible)), OUTSIDE, np.float32)
         if not visible:
             return result
-        boxes = [ObjectBox.around(item, origin) for item in visible]
+        # The network knows one support only, at height 0: every object is moved down onto it.
+        lifts = [np.array([0, 0, floor], np.float32) for floor in floors or [0.0] * len(visible)]
+        visible = [item - lift if lift.any() else item for item, lift in zip(visible, lifts)]
+        boxes = [ObjectBox.around(item, origin - lift) for item, lift in zip(visible, lifts)]
         lattices = np.empty((len(boxes), LATTICE_CHANNELS, *LATTICE), np.float32)
-        above = points[:, 2] >= 0
 
         def look(index: int) -> None:
-            around = evidence(boxes[index].lattice(), index)
+            around = evidence(boxes[index].lattice() + lifts[index], index)
             lattices[index] = lattice_channels(boxes[index], visible[index], around)
 
         def encode(part: slice) -> torch.Tensor:
@@ -79,10 +93,10 @@ class OcclusionPrior:
                 return self.network.encode(torch.from_numpy(lattices[part]))
 
         def decode(index: int) -> None:
-            box = boxes[index]
-            local = box.local(points)
+            box, floor = boxes[index], lifts[index][2]
+            local = box.local(points - lifts[index] if floor else points)
             x, y, z = np.abs(local.T) <= 1
-            rows = np.flatnonzero(x & y & z & above)
+            rows = np.flatnonzero(x & y & z & (points[:, 2] >= floor))
             if len(rows) == 0:
                 return
             local = local.T.take(rows, axis=1).T  # each axis stays in one piece

@@ -12,16 +12,15 @@ from reconstruction.config import TabletopSamples
 
 
 def hinge_points(
-    config: TabletopSamples, seen: np.ndarray, feet: np.ndarray, thin: np.ndarray, covered: np.ndarray
+    config: TabletopSamples, fine: np.ndarray, ground: np.ndarray, thin: np.ndarray, covered: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Hinge points (H, 3) and widths (H,): coarse over the covered space, finer near what is seen, finest on
-    thin walls. Each of seen, feet, thin, covered: (N, 3) [m]."""
+    """Hinge points (H, 3) and widths (H,): coarse over the covered space, finer near some points, finer
+    still on seen surfaces and at feet, finest on thin walls. fine, ground, thin, covered: (N, 3) [m] each."""
     lattices = [
         (lattice_near_points(covered, 0.0, config.coarse_spacing), config.coarse_gamma),
-        (lattice_near_points(seen, config.fine_distance, config.fine_spacing), config.fine_gamma),
+        (lattice_near_points(fine, config.fine_distance, config.fine_spacing), config.fine_gamma),
     ]
     if config.finest_distance is not None:
-        ground = np.concatenate([seen, feet])
         finest = lattice_near_points(ground, config.finest_distance, config.finest_spacing)
         lattices.append((finest, config.finest_gamma))
     if config.thin_spacing is not None and len(thin):

@@ -11,6 +11,7 @@ import numpy as np
 
 from mapping.hinges import lattice_near_points
 from mapping.samples import jittered, jittered_lattice
+from perception.observation import SUPPORT
 from perception.space import Region
 from reconstruction.samples.scope import Scope
 
@@ -42,7 +43,7 @@ def open_space(scope: Scope) -> OpenSpace:
     region = scope.space.classify(hidden)
     # Where nothing was measured beside an object, the kernels would let it grow unchecked.
     unknown = region == Region.OUT_OF_VIEW
-    unknown[unknown] = scope.observation.near_objects(hidden[unknown], config.unknown_distance)
+    unknown[unknown] = scope.near(hidden[unknown], config.unknown_distance)
     hidden = hidden[(region == Region.OCCLUDED) | unknown]
     near = lattice_near_points(scope.seen, config.near_distance, config.near_spacing)
     near = jittered(near, config.near_spacing, scope.rng)
@@ -60,10 +61,12 @@ def below_support(scope: Scope) -> np.ndarray:
         (0.0, -config.pair_offset, config.floor_spacing),
         (-config.pair_offset, -config.below_depth, config.below_spacing),
     ):
+        top, bottom = scope.floor + top, scope.floor + bottom
         layer = np.array([*scope.low[:2], bottom]), np.array([*scope.high[:2], top])
         points = scope.cover(spacing, *layer)
         layers.append(points[points[:, 2] < top])
-    return np.concatenate(layers)
+    below = np.concatenate(layers)
+    return below if len(scope.observation.levels) == 1 else below[_under_own_support(scope, below)]
 
 
 def feet(scope: Scope) -> np.ndarray:
@@ -71,13 +74,38 @@ def feet(scope: Scope) -> np.ndarray:
     they close the objects' bottoms."""
     config = scope.config
     points = jittered_lattice(scope.low * LEVEL, scope.high * LEVEL, config.foot_spacing, scope.rng)
-    points = points[scope.observation.near_objects(points, config.foot_distance)]
-    points[:, 2] = FOOT_CLEARANCE
+    points[:, 2] += scope.floor
+    points = points[scope.near(points, config.foot_distance) | _under_hovering(scope, points)]
+    points[:, 2] = scope.floor + FOOT_CLEARANCE
     points = points[scope.space.classify(points) != Region.FREE]
     deeper = points[scope.rng.random(len(points)) < DEEPER_SHARE]
-    points[:, 2] = -FOOT_CLEARANCE
-    deeper[:, 2] = -scope.rng.uniform(*DEEPER, len(deeper))
+    points[:, 2] = scope.floor - FOOT_CLEARANCE
+    deeper[:, 2] = scope.floor - scope.rng.uniform(*DEEPER, len(deeper))
     return np.concatenate([points, deeper])
+
+
+def _under_hovering(scope: Scope, points: np.ndarray) -> np.ndarray:
+    """Which points (N, 3) on the support lie under an object whose visible part ends high above it."""
+    under = np.zeros(len(points), bool)
+    for item in scope.items:
+        low, high = item.bounds
+        if low[2] - scope.floor > scope.config.foot_distance:
+            reach = scope.config.foot_distance
+            under |= ((points[:, :2] > low[:2] - reach) & (points[:, :2] < high[:2] + reach)).all(1)
+    return under
+
+
+def _under_own_support(scope: Scope, points: np.ndarray) -> np.ndarray:
+    """Of points (N, 3) under a support that is one of several, those where its surface is seen above, or an
+    object stands on it: beside a board or a tray, its height means nothing."""
+    top = points.copy()
+    top[:, 2] = scope.floor
+    pixel = scope.space.pixel_of(top)
+    seen = scope.observation.seen
+    assert seen is not None
+    on_surface = (seen.reshape(-1)[pixel] == SUPPORT) & (pixel >= 0)
+    on_surface &= scope.space.classify(top) == Region.SURFACE
+    return on_surface | scope.near(top, scope.config.foot_distance)
 
 
 def _within_wall(scope: Scope, points: np.ndarray) -> np.ndarray:
@@ -85,5 +113,6 @@ def _within_wall(scope: Scope, points: np.ndarray) -> np.ndarray:
     owned = np.zeros(scope.observation.depth.size, bool)
     for item in scope.observation.objects:
         owned[item.pixels] = True
+        owned[item.guessed] = True
     sight = scope.space.look(points)
     return (sight.pixel >= 0) & owned[sight.pixel] & (sight.behind < scope.config.wall)

@@ -1,50 +1,66 @@
-"""What every kind of sample starts from: one observation, its space, the settings, and the box to cover.
+"""What every kind of sample starts from: an observation, its space, the settings, and the box to cover.
 
-Knows where samples may lie; knows nothing of their labels.
+Knows where samples may lie; knows nothing of their labels. Objects that are far from each other, or stand on
+different supports, have scopes of their own: what is between them costs nothing.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mapping.samples import jittered_lattice
-from perception.observation import Observation
+from perception.observation import Observation, ObservedObject, near_boxes
 from perception.space import Region, Space
 from reconstruction.config import TabletopSamples
 
 
 @dataclass(frozen=True)
 class Scope:
-    """One observation to draw samples of.
+    """Some objects of one observation to draw samples around.
 
-    seen: (N, 3) all objects' seen points [m, table frame]; low, high: (3,) corners of the box to cover.
+    classes: class of each of items, 1 for the observation's first object; seen: (N, 3) their visible surface
+    [m, table frame]; low, high: (3,) corners of the box to cover; floor: height of their support [m].
     """
 
     observation: Observation
     space: Space
     config: TabletopSamples
     rng: np.random.Generator
+    items: tuple[ObservedObject, ...]
+    classes: tuple[int, ...]
     seen: np.ndarray
     low: np.ndarray
     high: np.ndarray
+    floor: float
 
     @classmethod
-    def of(
+    def all_of(
         cls, observation: Observation, space: Space, config: TabletopSamples, rng: np.random.Generator
-    ) -> Scope:
-        """The box around everything seen of objects, no deeper than the support plane."""
-        seen = np.concatenate([item.points for item in observation.objects])
-        low, high = seen.min(0) - config.radius, seen.max(0) + config.radius
-        if observation.support is not None:
-            low[2] = 0.0
-        return cls(observation, space, config, rng, seen, low, high)
+    ) -> list[Scope]:
+        """Scopes for all objects: each the box around its objects, no deeper than their support."""
+        scopes = []
+        for group in groups(observation, config.radius):
+            items = tuple(observation.objects[index] for index in group)
+            seen = np.concatenate([item.outline for item in items])
+            low, high = seen.min(0) - config.radius, seen.max(0) + config.radius
+            floor = items[0].floor
+            if observation.support is not None:
+                low[2] = floor
+            own = space if floor == space.floor else replace(space, floor=floor)
+            classes = tuple(index + 1 for index in group)
+            scopes.append(cls(observation, own, config, rng, items, classes, seen, low, high, floor))
+        return scopes
 
     @property
     def supported(self) -> bool:
-        """Whether a support plane was found: z = 0 of the table frame, with nothing of an object below."""
+        """Whether a support plane was found: nothing of an object is below `floor`."""
         return self.observation.support is not None
+
+    def near(self, points: np.ndarray, distance: float) -> np.ndarray:
+        """Which points (N, 3) lie within `distance` [m] of one of the scope's objects' boxes: (N,) bool."""
+        return near_boxes(points, [item.bounds for item in self.items], distance)
 
     def cover(
         self, spacing: float, low: np.ndarray | None = None, high: np.ndarray | None = None
@@ -52,10 +68,23 @@ class Scope:
         """Jittered samples (M, 3) of a box, the whole one by default, within `radius` of an object's box."""
         low, high = self.low if low is None else low, self.high if high is None else high
         points = jittered_lattice(low, high, spacing, self.rng)
-        return points[self.observation.near_objects(points, self.config.radius)]
+        return points[self.near(points, self.config.radius)]
 
     def classify(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which points (N, 3) are known to be empty, and which are hidden: (N,) bool each."""
         region = self.space.classify(points)
         empty = (region == Region.FREE) | (region == Region.BELOW_SUPPORT)
         return empty, (region == Region.OCCLUDED) | (region == Region.OUT_OF_VIEW)
+
+
+def groups(observation: Observation, radius: float) -> list[list[int]]:
+    """Indices of the objects in groups of one support whose surroundings, `radius` [m] wide, meet."""
+    objects = observation.objects
+    group = list(range(len(objects)))
+    for b, item in enumerate(objects):
+        low, high = item.bounds
+        for a, other in enumerate(objects[:b]):
+            gap = max((other.bounds[0] - high).max(), (low - other.bounds[1]).max())
+            if item.floor == other.floor and gap < 2 * radius:
+                group = [group[a] if of == group[b] else of for of in group]
+    return [[k for k, of in enumerate(group) if of == name] for name in dict.fromkeys(group)]

@@ -1,6 +1,7 @@
 """What probably fills hidden points: the learned prior where it can be asked, else a thin shell.
 
-Knows whom to ask; knows nothing of samples, labels or the fit.
+Knows whom to ask, and what no guess may forget: things stand on their supports, and obstacles without a label
+have insides. Knows nothing of samples, labels or the fit.
 """
 
 from __future__ import annotations
@@ -8,23 +9,83 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from perception.observation import Observation
+from perception.space import Space
+from reconstruction.config import TabletopSamples
 from reconstruction.prior.evidence import hidden_labels
-from reconstruction.samples.scope import Scope
+from reconstruction.samples.obstacles import with_obstacles
+
+FOOT_GAP = 0.02
+"""An object whose visible part ends higher above its support than this may lack a foot [m]."""
+STANDING = 0.5
+"""It lacks one where nowhere on its support it is as probable as this."""
+REACH_DOWN = 0.75
+"""Such an object goes down to its support with this probability where it is above: unsure, but there."""
+JUST_UNDER = 0.006
+"""Where an object is above is asked this far under the end of its visible part [m]."""
+BEFORE_GUESS = 0.7
+"""Chance that the ray is free before a surface that was guessed, not measured."""
 
 
-def structure(scope: Scope, points: np.ndarray) -> np.ndarray:
-    """(N, K+1) guess of {empty, object 1..K} at points (N, 3) behind what is seen."""
-    if scope.config.prior == "learned" and scope.supported:
-        # What lies under the plane is empty to the prior; a pair at an object's foot may reach below it.
-        above = np.column_stack([points[:, :2], np.maximum(points[:, 2], 0)])
-        return hidden_labels(scope.observation, scope.space, above)
-    return _shell(scope, points)
+def structure(
+    observation: Observation, space: Space, config: TabletopSamples, points: np.ndarray, obstacles: np.ndarray
+) -> np.ndarray:
+    """(N, K+1) guess of {empty, object 1..K} at points (N, 3) behind what is seen, none of them under a
+    support. With obstacles (M, 3), thinned surface points of what has no label, (N, K+2): they are last."""
+    guess = _objects(observation, space, config, points)
+    if space.guessed is not None:
+        sight = space.look(points)
+        early = (sight.pixel >= 0) & space.guessed.reshape(-1)[sight.pixel] & (sight.behind < 0)
+        likely = 1 + guess[early, 1:].argmax(1)
+        guess[early] = 0
+        guess[early, 0] = BEFORE_GUESS
+        guess[np.flatnonzero(early), likely] = 1 - BEFORE_GUESS
+    return with_obstacles(observation, space, config.shell, points, guess, obstacles)
 
 
-def _shell(scope: Scope, points: np.ndarray) -> np.ndarray:
+def _objects(
+    observation: Observation, space: Space, config: TabletopSamples, points: np.ndarray
+) -> np.ndarray:
+    """(N, K+1) guess of {empty, object 1..K} at points (N, 3)."""
+    if config.prior == "learned" and observation.support is not None:
+        guess = hidden_labels(observation, space, points)
+        for index, item in enumerate(observation.objects):
+            if item.bounds[0][2] - item.floor > FOOT_GAP:
+                _reach_down(observation, space, index, points, guess)
+        return guess
+    return _shell(observation, config.shell, points)
+
+
+def _reach_down(
+    observation: Observation, space: Space, index: int, points: np.ndarray, guess: np.ndarray
+) -> None:
+    """Give object `index` a foot in guess (N, K+1), in place, if it lacks one: seen from straight above, or
+    cut by the image's border, nothing is seen of it near its support, but it does not hover."""
+    item = observation.objects[index]
+    low, high = item.bounds
+    column = ((points[:, :2] > low[:2] - FOOT_GAP) & (points[:, :2] < high[:2] + FOOT_GAP)).all(1)
+    column &= points[:, 2] < low[2]
+    ground = column & (points[:, 2] < item.floor + FOOT_GAP / 4)
+    if not ground.any() or (guess[ground, 1:] > STANDING).any():
+        return  # it stands, or something else stands where it would
+    rows = np.flatnonzero(column)
+    above = points[rows].copy()
+    above[:, 2] = low[2] - JUST_UNDER
+    own = index + 1
+    there = hidden_labels(observation, space, above)[:, own]
+    # Where the visible part itself is right above, no guess is needed.
+    apart = cKDTree(item.outline[::2, :2]).query(points[rows, :2], distance_upper_bound=2 * JUST_UNDER)[0]
+    there = np.where(apart < JUST_UNDER, 1.0, there)
+    others = guess[rows].sum(1) - guess[rows, 0] - guess[rows, own]
+    share = np.maximum(guess[rows, own], REACH_DOWN * there * (1 - others))
+    guess[rows, 0] = np.maximum(1 - others - share, 0)
+    guess[rows, own] = share
+
+
+def _shell(observation: Observation, shell: float, points: np.ndarray) -> np.ndarray:
     """(N, K+1) guess of {empty, object 1..K} from the distance to each object's seen surface alone."""
-    objects, shell = scope.observation.objects, scope.config.shell
-    distance = np.stack([cKDTree(o.points[::4]).query(points)[0] for o in objects], 1)
+    objects = observation.objects
+    distance = np.stack([cKDTree(o.outline[::4]).query(points)[0] for o in objects], 1)
     nearest = distance.argmin(1)
     rows = np.arange(len(points))
     inside = 1 / (1 + np.exp((distance[rows, nearest] - shell) / (0.3 * shell)))

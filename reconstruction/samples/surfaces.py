@@ -19,7 +19,7 @@ class SurfaceSamples:
     """Samples (N, 3) before seen surfaces, right behind them, and in their walls.
 
     owner: (N,) class of each, 1 for the first object; flat: (N,) bool, the support plane comes before the
-    wall's sample.
+    wall's sample; guessed: (N,) bool, at a surface that was not measured but guessed.
     """
 
     before: np.ndarray
@@ -27,6 +27,7 @@ class SurfaceSamples:
     wall: np.ndarray
     owner: np.ndarray
     flat: np.ndarray
+    guessed: np.ndarray
 
 
 def surface_samples(scope: Scope) -> SurfaceSamples:
@@ -34,17 +35,24 @@ def surface_samples(scope: Scope) -> SurfaceSamples:
     flat on it is filled down to it."""
     config = scope.config
     points = [
-        item.points[voxel_subsample(item.points, config.surface_voxel, scope.rng)]
-        for item in scope.observation.objects
+        item.points[voxel_subsample(item.points, config.surface_voxel, scope.rng)] for item in scope.items
     ]
-    owner = np.repeat(np.arange(len(points)), [len(of_one) for of_one in points]) + 1
+    owner = np.repeat(scope.classes, [len(of_one) for of_one in points])
+    measured = len(owner)
+    for item, of_class in zip(scope.items, scope.classes):
+        if len(item.guessed):
+            guess = item.guessed_points[voxel_subsample(item.guessed_points, config.surface_voxel, scope.rng)]
+            points.append(guess)
+            owner = np.concatenate([owner, np.full(len(guess), of_class)])
     surface = np.concatenate(points)
+    guessed = np.arange(len(surface)) >= measured
     offsets = (-config.pair_offset, config.pair_depth if config.pairs else 0.0, config.wall_depth)
     before, inside, wall = (shift_along_rays(scope.space.origin, surface, offset) for offset in offsets)
     flat = np.zeros(len(wall), bool)
     if scope.supported:
-        flat = wall[:, 2] < FOOT_CLEARANCE
-        inside[:, 2] = np.maximum(inside[:, 2], FOOT_CLEARANCE)
+        least = scope.floor + FOOT_CLEARANCE
+        flat = wall[:, 2] < least
+        inside[:, 2] = np.maximum(inside[:, 2], least)
         drop = inside[flat] - wall[flat]
-        wall[flat] = inside[flat] - drop * ((inside[flat, 2:] - FOOT_CLEARANCE) / drop[:, 2:])
-    return SurfaceSamples(before, inside, wall, owner, flat)
+        wall[flat] = inside[flat] - drop * ((inside[flat, 2:] - least) / drop[:, 2:])
+    return SurfaceSamples(before, inside, wall, owner, flat, guessed)

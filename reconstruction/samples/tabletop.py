@@ -5,6 +5,8 @@ Knows which samples there are and which label each gets; knows nothing of the fi
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from perception.observation import Observation
@@ -13,49 +15,119 @@ from reconstruction.config import TabletopSamples
 from reconstruction.samples import labels
 from reconstruction.samples.even_noise import spread_evenly
 from reconstruction.samples.hinge_points import hinge_points
-from reconstruction.samples.open_space import below_support, feet, open_space
+from reconstruction.samples.obstacles import near_obstacles, obstacle_samples
+from reconstruction.samples.open_space import OpenSpace, below_support, feet, open_space
 from reconstruction.samples.scope import Scope
-from reconstruction.samples.structure import structure
-from reconstruction.samples.surfaces import surface_samples
+from reconstruction.samples.structure import FOOT_GAP, structure
+from reconstruction.samples.surfaces import SurfaceSamples, surface_samples
 from reconstruction.samples.training_set import TrainingSet, assemble
 
+GUESSED_DOUBT = 0.3
+"""The chance that a surface that was guessed is not there."""
+
+COLUMN = 0.3
+"""Hidden samples this likely of an object that is guessed to reach far down get hinge points of their own."""
 UPWARDS = np.array([1, 1, -1], np.float32)
 """Mirrors points at the support plane."""
+
+Labelled = tuple[np.ndarray, np.ndarray]
+"""Samples (N, 3) with label distributions (N, C+1)."""
 
 
 def draw_tabletop(
     config: TabletopSamples, observation: Observation, space: Space, rng: np.random.Generator
 ) -> TrainingSet:
-    """The training set of one observation, in its table frame."""
-    scope = Scope.of(observation, space, config, rng)
-    around = open_space(scope)
-    below, foot = np.empty((2, 0, 3), np.float32)
-    if scope.supported:
-        below, foot = below_support(scope), feet(scope)
-    surface = surface_samples(scope)
-    asked = [surface.inside, surface.wall, foot * UPWARDS, around.hidden]
-    guess = structure(scope, np.concatenate(asked))
-    at_inside, at_wall, at_foot, at_hidden = np.split(guess, np.cumsum([len(part) for part in asked[:-1]]))
-    rows, count = np.arange(len(surface.owner)), guess.shape[1]
-    fill = at_wall[rows, surface.owner]
-    thin = surface.inside[(fill < config.thin) | surface.flat]
-    covered = np.concatenate([around.free, around.hidden])
-    hinges, gamma = hinge_points(config, scope.seen, foot, thin, covered)
-    # The thin shell is a rule of thumb: nothing it says of hidden space is beyond doubt.
-    least = None if config.prior == "learned" else config.labels.most_uncertain / 2
-    hidden, guessed = around.hidden, labels.hidden(config.labels, at_hidden, least)
-    if config.noise != "occluded":
-        near = config.noise == "near"
-        hidden, guessed = spread_evenly(observation, hidden, guessed, scope.low, scope.high, near, rng)
-    doubt = 1 - at_inside[rows, surface.owner]
-    soft = [
-        (surface.inside, labels.pair(config.labels, surface.owner, doubt, count)),
-        (foot, labels.foot(config.labels, at_foot)),
-        (hidden, guessed),
-    ]
-    if config.pairs:
-        free = labels.pair(config.labels, surface.owner * 0, np.zeros(len(surface.owner)), count)
-        soft.append((surface.before, free))
-        soft.append((surface.wall, labels.wall(config.labels, surface.owner, 1 - fill, count)))
+    """The training set of one observation, in its table frame.
+
+    Classes: 0 empty, k the k-th object, then obstacles without a label if any are near, the last "uncertain".
+    """
+    drawn = [_Drawn.of(scope) for scope in Scope.all_of(observation, space, config, rng)]
+    obstacles = near_obstacles(observation, config.radius)
+    asked = [part.asked for part in drawn]
+    guess = structure(observation, space, config, np.concatenate(asked), obstacles)
+    count = guess.shape[1]
+    soft: list[Labelled] = []
+    fine, thin = [part.scope.seen for part in drawn], []
+    for part, of_part in zip(drawn, np.split(guess, np.cumsum([len(points) for points in asked])[:-1])):
+        labelled, walls, columns = part.labelled(of_part)
+        soft += labelled
+        thin.append(walls)
+        fine.append(columns)
+    if len(obstacles):
+        fine.append(obstacles)
+        for points, own, doubt in obstacle_samples(obstacles, space.origin):
+            classes, unsure = np.full(len(points), own * (count - 1)), np.full(len(points), doubt)
+            soft.append((points, labels.pair(config.labels, classes, unsure, count)))
+    ground = np.concatenate([part.scope.seen for part in drawn] + [part.foot for part in drawn])
+    covered = np.concatenate([p for part in drawn for p in (part.around.free, part.around.hidden)])
+    hinges, gamma = hinge_points(config, np.concatenate(fine), ground, np.concatenate(thin), covered)
+    empty = np.concatenate([p for part in drawn for p in (part.around.empty, part.below)])
     points, targets = map(np.concatenate, zip(*soft))
-    return assemble([np.concatenate([around.empty, below])], points, targets, hinges, gamma)
+    return assemble([empty], points, targets, hinges, gamma)
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """The samples (N, 3) around the objects of one scope."""
+
+    scope: Scope
+    around: OpenSpace
+    below: np.ndarray
+    foot: np.ndarray
+    surface: SurfaceSamples
+
+    @classmethod
+    def of(cls, scope: Scope) -> _Drawn:
+        around = open_space(scope)
+        below, foot = np.empty((2, 0, 3), np.float32)
+        if scope.supported:
+            below, foot = below_support(scope), feet(scope)
+        return cls(scope, around, below, foot, surface_samples(scope))
+
+    @property
+    def asked(self) -> np.ndarray:
+        """Places (N, 3) whose class has to be guessed; those of the foot are mirrored at the support."""
+        foot = self.foot * UPWARDS
+        foot[:, 2] += np.float32(2 * self.scope.floor)
+        asked = np.concatenate([self.surface.inside, self.surface.wall, foot, self.around.hidden])
+        if self.scope.supported:
+            # What lies under the support is empty to the prior; a pair at an object's foot may reach there.
+            asked[:, 2] = np.maximum(asked[:, 2], np.float32(self.scope.floor))
+        return asked
+
+    def labelled(self, guess: np.ndarray) -> tuple[list[Labelled], np.ndarray, np.ndarray]:
+        """All samples with labels, from the guess (N, K+1) at the places asked; samples (M, 3) in thin walls;
+        and hidden ones (L, 3) of objects that are guessed to reach far down."""
+        config, surface = self.scope.config, self.surface
+        sizes = [len(surface.inside), len(surface.wall), len(self.foot)]
+        at_inside, at_wall, at_foot, at_hidden = np.split(guess, np.cumsum(sizes))
+        rows, count = np.arange(len(surface.owner)), guess.shape[1]
+        fill = at_wall[rows, surface.owner]
+        # The thin shell is a rule of thumb: nothing it says of hidden space is beyond doubt.
+        least = None if config.prior == "learned" else config.labels.most_uncertain / 2
+        hidden, guessed = self.around.hidden, labels.hidden(config.labels, at_hidden, least)
+        if config.noise != "occluded":
+            scope = self.scope
+            near, box = config.noise == "near", (scope.low, scope.high)
+            hidden, guessed = spread_evenly(scope.observation, hidden, guessed, *box, near, scope.rng)
+        unsure = GUESSED_DOUBT * surface.guessed
+        doubt = np.maximum(1 - at_inside[rows, surface.owner], unsure)
+        soft = [
+            (surface.inside, labels.pair(config.labels, surface.owner, doubt, count)),
+            (self.foot, labels.foot(config.labels, at_foot)),
+            (hidden, guessed),
+        ]
+        if config.pairs:
+            soft.append((surface.before, labels.pair(config.labels, surface.owner * 0, unsure, count)))
+            soft.append((surface.wall, labels.wall(config.labels, surface.owner, 1 - fill, count)))
+        thin = surface.inside[(fill < config.thin) | surface.flat]
+        return soft, thin, self._columns(at_hidden)
+
+    def _columns(self, at_hidden: np.ndarray) -> np.ndarray:
+        """Hidden samples (L, 3) of objects whose visible part ends high above their support."""
+        points = self.around.hidden
+        kept = np.zeros(len(points), bool)
+        for item, own in zip(self.scope.items, self.scope.classes):
+            if self.scope.supported and item.bounds[0][2] - item.floor > FOOT_GAP:
+                kept |= (at_hidden[:, own] > COLUMN) & (points[:, 2] < item.bounds[0][2])
+        return points[kept]

@@ -5,6 +5,7 @@ Knows a fitted map whose class 0 is empty space; knows nothing of frames or mesh
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,14 +90,20 @@ def evaluate_field(
     lows: np.ndarray,
     highs: np.ndarray,
     spacing: float,
-    floor: float | None = None,
+    floors: Sequence[float] | None = None,
     confined: bool = True,
+    classes: Sequence[int] | None = None,
 ) -> Field:
     """Evaluate a map on one lattice of `spacing` [m] over boxes lows..highs (K, 3) [m].
 
-    An object's window is the part of its box that the map does not know to be without it. floor: no object is
-    below this height [m]. confined: objects have no part in the probabilities of blocks beyond their windows.
+    An object's window is the part of its box that the map does not know to be without it. floors: heights
+    (K,) [m] below which the objects are not. confined: objects have no part in the probabilities of blocks
+    beyond their windows. classes: (K,) the objects' classes in the map, 1..K by default; all other classes
+    but the empty and the uncertain one are rivals of every object.
     """
+    last = model.class_count - 1
+    own = list(classes or range(1, len(lows) + 1))
+    rivals = [k for k in range(1, last) if k not in own]
     low, high = lows.min(0), highs.max(0)
     count = np.ceil((np.asarray(high) - low) / (spacing * BLOCK)).astype(int)
     # Multiples of the spacing: the same place is sampled alike whatever else is in the scene.
@@ -106,13 +113,12 @@ def evaluate_field(
     coarse = evaluator([axis[::COARSE] for axis in axes])
     shape = tuple(int(n) for n in count * BLOCK)
     boxes = [window_of(origin, spacing, shape, *box) for box in zip(lows, highs)]
-    windows = [overlap(*pair) for pair in zip(boxes, _where_likely((coarse[1:-1] - coarse[0]).cpu().numpy()))]
+    windows = [overlap(*pair) for pair in zip(boxes, _where_likely((coarse[own] - coarse[0]).cpu().numpy()))]
     log_odds = [np.full([w.stop - w.start for w in window], OUTSIDE, np.float32) for window in windows]
     uncertainty = np.ones(shape, np.float32)
     lattice = evaluator.on(axes)
     # A steep ramp rather than a step: the surface is to end at the floor, not half a cell from it.
-    ramp = np.full(shape[2], np.inf) if floor is None else FLOOR_SLOPE * (axes[2] - floor)
-    ramp = ramp.astype(np.float32)
+    ramps = [FLOOR_SLOPE * (axes[2] - floor).astype(np.float32) for floor in floors or ()]
 
     def fill(block: tuple[int, ...]) -> None:
         x, y, z = (slice(b * BLOCK, (b + 1) * BLOCK) for b in block)
@@ -122,17 +128,19 @@ def evaluate_field(
             return
         evaluated = around(list(parts.values()))
         present = list(parts) if confined else list(range(len(windows)))
-        classes = torch.tensor([0, *(k + 1 for k in present), len(windows) + 1], device=coarse.device)
-        logits = lattice.block(evaluated, classes)
+        columns = [0, *(own[k] for k in present), *rivals, last]
+        logits = lattice.block(evaluated, torch.tensor(columns, device=coarse.device))
         share = logits.sub_(logits.amax(0)).exp_()
         structure = share[:-1].sum(0)
         uncertainty[evaluated] = (share[-1] / (structure + share[-1])).cpu().numpy()
         # P(k) against the rest among the non-uncertain classes; 1e-9 keeps the logarithm finite.
-        others = (structure - share[1:-1]).clamp_min_(1e-9)
-        odds = share[1:-1].clamp_min_(1e-9).div_(others).log_().cpu().numpy()
-        np.minimum(odds, ramp[evaluated[2]], out=odds)
+        mine = share[1 : len(present) + 1]
+        others = (structure - mine).clamp_min_(1e-9)
+        odds = mine.clamp_min_(1e-9).div_(others).log_().cpu().numpy()
         for k, of_one in zip(present, odds):
             if k in parts:
+                if ramps:
+                    np.minimum(of_one, ramps[k][evaluated[2]], out=of_one)
                 log_odds[k][within(parts[k], windows[k])] = of_one[within(parts[k], evaluated)]
 
     map_in_threads(fill, np.ndindex(*count))

@@ -1,0 +1,102 @@
+"""What is at a point: the map's answer, and what the frame itself says, which no map may contradict.
+
+Knows the map, the observation and its space; knows nothing of meshes, files or world frames. What was
+measured is never called free: the map is smooth, and may lean a few millimetres or a shadow too far.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mapping.contramap import ContraMap
+from perception.observation import NOTHING, OTHER, SUPPORT, Observation
+from perception.space import Space
+
+EMPTY = 0
+TOUCHING = 0.0015
+"""From this depth before a measured surface on, a point is not seen to be free [m]."""
+SURE_WALL = 0.003
+"""What the map calls empty this little behind an object's measured surface belongs to the object [m]."""
+OBSTACLE_WALL = 0.02
+"""The same for obstacles without a label; what is deeper behind them is unknown [m]."""
+UNKNOWN = 0.5
+"""Least p(uncertain) of what is called unknown."""
+
+
+@dataclass(frozen=True)
+class Query:
+    """The map's answer at N points.
+
+    label: (N,) int what is there: 0 empty, k > 0 the object with instance label k, -1 unknown (uncertain),
+    -2 another obstacle (measured, but without a label), -3 a support, such as the table.
+    occupancy: (N,) P(any object or other obstacle) among the classes other than uncertain; a support is
+    neither; uncertainty: (N,) p(uncertain); gradient: (N, 3) d occupancy / d point [1/m] in the world frame.
+    """
+
+    label: np.ndarray
+    occupancy: np.ndarray
+    uncertainty: np.ndarray
+    gradient: np.ndarray
+
+    @property
+    def free(self) -> np.ndarray:
+        """(N,) bool: empty, and known to be."""
+        return self.label == EMPTY
+
+
+def ask(
+    model: ContraMap, observation: Observation, space: Space, floor: float | None, points: np.ndarray
+) -> Query:
+    """The answer at points (N, 3) float32 [m] in the table frame; the gradient is in that frame as well.
+
+    floor: height [m] below which no object can be, None if unknown.
+    """
+    probability, occupancy, gradient = model.predict_occupancy(points)
+    labels = [item.label for item in observation.objects]
+    # Columns follow the observed objects, one of which may have got no mesh.
+    others = [OTHER] * (probability.shape[1] - 2 - len(labels))
+    label = np.array([EMPTY, *labels, *others, NOTHING])[probability.argmax(1)]
+    uncertainty = probability[:, -1].copy()
+    answer = Query(label, occupancy, uncertainty, gradient)
+    if observation.seen is not None:
+        _mind_what_was_seen(answer, observation, space, floor, points)
+    return answer
+
+
+def _mind_what_was_seen(
+    answer: Query, observation: Observation, space: Space, floor: float | None, points: np.ndarray
+) -> None:
+    """Correct an answer, in place, where the frame says better."""
+    label = answer.label
+    sight = space.look(points)
+    assert observation.seen is not None
+    seen = np.where(sight.pixel >= 0, observation.seen.reshape(-1)[sight.pixel], NOTHING)
+    # A guessed depth is no measurement: comparisons with NaN are false.
+    behind = np.where(seen == NOTHING, np.float32(np.nan), sight.behind)
+    hit = behind >= -TOUCHING
+    support = np.zeros(len(points), bool)
+    if floor is not None:
+        below = points[:, 2] < floor
+        support |= below & hit
+        label[below & ~hit & (label > 0)] = EMPTY
+        unseen = below & np.isnan(behind)
+        label[unseen] = NOTHING
+        slack = floor - min(item.floor for item in observation.objects)
+        for item in observation.objects:
+            support |= (label == item.label) & (points[:, 2] < item.floor + slack)
+    empty = label == EMPTY
+    support |= empty & hit & (seen == SUPPORT)
+    wall = empty & hit & (seen > 0) & (behind < SURE_WALL)
+    label[wall] = seen[wall]
+    obstacle = empty & hit & (seen == OTHER)
+    near = obstacle & (behind < OBSTACLE_WALL)
+    label[near] = OTHER
+    label[obstacle & ~near] = NOTHING
+    label[support] = SUPPORT
+    unknown = label == NOTHING
+    answer.uncertainty[unknown] = np.maximum(answer.uncertainty[unknown], UNKNOWN)
+    answer.occupancy[wall | near] = np.maximum(answer.occupancy[wall | near], 0.5)
+    answer.occupancy[support] = 0
+    answer.gradient[support] = 0

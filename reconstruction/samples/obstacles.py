@@ -1,0 +1,71 @@
+"""Obstacles: what was measured near objects and carries no label. One class of the map, "other".
+
+Knows where such surfaces were seen; knows nothing of what they belong to. What lies behind them is unknown:
+some of it is theirs, and none of it is free.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mapping.samples import shift_along_rays, voxel_subsample
+from perception.observation import OTHER, Observation
+from perception.space import Space
+
+LEAST_POINTS = 30
+"""Fewer measured points than this make no class of their own."""
+VOXEL = 0.012
+"""Voxel that keeps one surface pair of an obstacle [m]."""
+OFFSETS = (-0.003, 0.002, 0.009)
+"""Samples before, right behind and further behind an obstacle's surface [m]."""
+DOUBTS = (0.0, 0.0, 0.4)
+"""The chance that each of them is something else."""
+REACH = 0.10
+"""An obstacle's hidden part may reach this far from what is seen of it [m]."""
+IN_SHELL = 0.9
+"""Chance that hidden space right behind an obstacle's surface is its own."""
+BEYOND = 0.5
+"""The same deeper and beside it: half, so that the map is as unsure as it can be."""
+TOUCHING = -0.002
+"""Depth behind a surface from which on a point counts as behind it [m]."""
+
+
+def near_obstacles(observation: Observation, radius: float) -> np.ndarray:
+    """Thinned surface points (M, 3) [m] of obstacles within `radius` [m] of objects; none if few."""
+    points = observation.other.points
+    points = points[observation.near_objects(points, radius)]
+    return points[voxel_subsample(points, VOXEL)] if len(points) >= LEAST_POINTS else points[:0]
+
+
+def obstacle_samples(points: np.ndarray, origin: np.ndarray) -> list[tuple[np.ndarray, bool, float]]:
+    """Samples (M, 3) before and behind surface points (M, 3): each set with whether it is the obstacle's own,
+    and with the chance that it is not what it seems. origin: (3,) where the rays start."""
+    return [
+        (shift_along_rays(origin, points, offset), offset > 0, doubt)
+        for offset, doubt in zip(OFFSETS, DOUBTS)
+    ]
+
+
+def with_obstacles(
+    observation: Observation,
+    space: Space,
+    shell: float,
+    points: np.ndarray,
+    guess: np.ndarray,
+    obstacles: np.ndarray,
+) -> np.ndarray:
+    """Guesses (N, K+1) of hidden points with a column (N, 1) more for obstacles (M, 3), if there are any: it
+    takes from "empty", never from an object. shell: how thick an obstacle is at least [m]."""
+    if len(obstacles) == 0:
+        return guess
+    assert observation.seen is not None
+    sight = space.look(points)
+    behind = (observation.seen.reshape(-1)[sight.pixel] == OTHER) & (sight.pixel >= 0)
+    behind &= sight.behind > TOUCHING
+    distance = cKDTree(obstacles).query(points, distance_upper_bound=REACH)[0]
+    lean = np.where(behind | np.isfinite(distance), np.float32(BEYOND), np.float32(0))
+    lean[behind & (sight.behind < shell)] = IN_SHELL
+    other = guess[:, 0] * lean
+    guess[:, 0] -= other
+    return np.column_stack([guess, other])
