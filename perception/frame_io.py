@@ -22,6 +22,9 @@ from perception.inputs.depth_files import read_depth
 from perception.inputs.frame_parts import cloud_parts, folder_parts, npz_parts
 from perception.inputs.pose import read_pose
 
+MILLIMETRE = 0.001
+"""Unit of whole-number depth where none is given [m]."""
+
 
 def load_frame(
     path: str | os.PathLike[str],
@@ -58,7 +61,7 @@ def load_images(
     depth: str | os.PathLike[str],
     labels: str | os.PathLike[str] | None,
     intrinsics: Sequence[float] | np.ndarray | str | os.PathLike[str],
-    depth_scale: float | None = 0.001,
+    depth_scale: float | None = None,
     *,
     T_world_camera: Any = None,
     names: dict[int, str] | None = None,
@@ -68,7 +71,7 @@ def load_images(
 
     depth: 16-bit PNG or TIFF, .npy, float TIFF, EXR. labels: an image, an array, a folder of masks, COCO's
     JSON. intrinsics: fx, fy, cx, cy [px], K (3, 3), or a camera file. depth_scale: metres per unit of whole
-    numbers (1 mm by default); floats are metres, unless a scale other than the default makes metres of them.
+    numbers (1 mm by default); floats are metres, unless they cannot be and a scale makes metres of them.
     T_world_camera, trust: as for load_frame. Raises FrameError.
     """
     path = Path(depth)
@@ -76,11 +79,13 @@ def load_images(
         camera, camera_name = read_camera(Path(intrinsics)), str(intrinsics)
     else:
         camera, camera_name = CameraFile(_intrinsics(intrinsics)), "intrinsics"
+    stored = read_depth(path)
     if depth_scale is None:
-        depth_scale = camera.depth_scale or 0.001
-    check_scale(depth_scale, path, "--depth-scale")
+        depth_scale = camera.depth_scale or (MILLIMETRE if stored.whole else None)
+    else:
+        check_scale(depth_scale, path, "--depth-scale")
     parts = Parts(
-        depth=read_depth(path),
+        depth=stored,
         camera=replace(camera, depth_scale=depth_scale),
         camera_name=camera_name,
         source=str(path),

@@ -6,6 +6,7 @@ import numpy as np
 
 from mapping.errors import FrameError
 from perception.camera import transform
+from perception.checks.scene import check_depth, check_support, screen_labels
 from perception.cleaning import clean_labels
 from perception.config import PerceptionConfig
 from perception.depth_edges import remove_flying_pixels
@@ -46,9 +47,15 @@ def observe(frame: Frame, config: PerceptionConfig | None = None, seed: int = 0)
     rng = np.random.default_rng(seed)
     notes: list[str] = list(frame.notes)
     camera = frame.camera
-    depth = remove_flying_pixels(frame.depth, camera, config) if config.remove_flying_pixels else frame.depth
+    depth, found_odd = check_depth(frame, seed)
+    notes += found_odd
+    depth = remove_flying_pixels(depth, camera, config) if config.remove_flying_pixels else depth
     points = camera.back_project(depth)
     labels = frame.labels
+    aside: list[Skipped] = []
+    if labels is not None:
+        labels, aside, found_odd = screen_labels(frame, points, config)
+        notes += found_odd
     if labels is None:
         rough = find_support_plane(points, None, config, rng) if config.use_plane else None
         labels = segment(points, rough, camera, config)
@@ -60,9 +67,11 @@ def observe(frame: Frame, config: PerceptionConfig | None = None, seed: int = 0)
         notes.append("no support plane: the table frame is the camera frame")
     levels = Levels((0.0,), {}, frozenset())
     if support is not None:
+        notes += check_support(frame, points, labels, support)
         levels = find_levels(points, labels, support, camera, config)
     cleaned = clean_labels(points, labels, support, camera, config, levels.floors)
     found, skipped = _split_objects(frame, labels, cleaned, points, config)
+    skipped += aside
     if not found:
         reasons = "; ".join(f"{item.name}: {item.reason}" for item in skipped)
         raise FrameError(f"{frame.source}: no object is left to map ({reasons})")

@@ -12,6 +12,8 @@ MOST_SENTINELS = 3
 """Different sentinels looked for, one after another (65535, and a far clipping plane)."""
 FAR_RATIO = 1.25
 """A lone pixel this many times farther than the nearest opening around it is an error, not a view."""
+NOWHERE = 1e30
+"""Stands for "not measured" where a minimum is taken [m]."""
 WINDOW = 3
 """What holds no block of this size is lone [px]."""
 
@@ -42,15 +44,20 @@ def without_sentinels(depth: np.ndarray) -> tuple[np.ndarray, list[str]]:
     return depth, notes
 
 
-def without_lone_far(depth: np.ndarray) -> tuple[np.ndarray, int]:
-    """Depth (H, W) float32 [m] with NaN at lone pixels far behind everything around them; how many they
-    were."""
+def without_lone_far(depth: np.ndarray, labels: np.ndarray | None) -> tuple[np.ndarray, int]:
+    """Depth (H, W) float32 [m] with NaN at lone pixels of a mask far behind all around; how many they were.
+
+    Only within masks: there such a pixel cuts a tunnel through an object, elsewhere it is a view past things.
+    labels: (H, W), 0 = no mask, or None.
+    """
     import cv2
 
-    filled = np.where(np.isnan(depth), np.float32(np.inf), depth)
+    if labels is None:
+        return depth, 0
+    filled = np.where(np.isnan(depth), np.float32(NOWHERE), depth)
     kernel = np.ones((WINDOW, WINDOW), np.uint8)
     opened = cv2.dilate(cv2.erode(filled, kernel), kernel)
-    lone = np.isfinite(filled) & np.isfinite(opened) & (filled > np.float32(FAR_RATIO) * opened)
+    lone = (filled < NOWHERE) & (opened < NOWHERE) & (filled > np.float32(FAR_RATIO) * opened) & (labels > 0)
     count = int(lone.sum())
     if not count:
         return depth, 0

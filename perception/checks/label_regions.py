@@ -1,0 +1,65 @@
+"""What the labelled regions are in space: how far, how large, flat or not. Shared by the checks of labels
+and units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from perception.grouping import group_by_label
+
+SAMPLE = 2_000
+"""Points looked at of each label."""
+TRIM = (0.05, 0.95)
+"""Sizes are taken between these quantiles, because masks bleed."""
+FEWEST = 30
+"""Labels with fewer measured pixels are not judged."""
+
+
+@dataclass(frozen=True)
+class LabelRegion:
+    """The measured pixels of one label. points: (N, 3) [m, camera frame], some of them; pixels: how many
+    there are.
+
+    distance: median depth [m]. sides: (3,) [m] along the principal axes, largest first. centre, normal: (3,)
+    of the plane through the points. flat_share: share of the points within `thickness` of that plane.
+    """
+
+    label: int
+    points: np.ndarray
+    pixels: int
+    distance: float
+    sides: np.ndarray
+    centre: np.ndarray
+    normal: np.ndarray
+
+    def flat_share(self, thickness: float) -> float:
+        """Share of the points within this distance [m] of the plane through them."""
+        return float((np.abs((self.points - self.centre) @ self.normal) < thickness).mean())
+
+
+def label_regions(points: np.ndarray, labels: np.ndarray) -> list[LabelRegion]:
+    """The regions of all labels with enough measured pixels; points (H, W, 3) [m], labels (H, W)."""
+    flat, raw = points.reshape(-1, 3), labels.reshape(-1)
+    pixels = np.flatnonzero((raw > 0) & np.isfinite(flat[:, 2]))
+    found = []
+    for label, group in group_by_label(raw[pixels]):
+        if len(group) < FEWEST:
+            continue
+        own = flat[pixels[group[:: 1 + len(group) // SAMPLE]]].astype(np.float64)
+        found.append(_region(int(label), own, len(group)))
+    return found
+
+
+def _region(label: int, own: np.ndarray, pixels: int) -> LabelRegion:
+    distance = float(np.median(own[:, 2]))
+    low, high = np.quantile(own, TRIM, axis=0)
+    inner = own[((own >= low) & (own <= high)).all(1)]
+    if len(inner) < 10:
+        inner = own
+    centre = inner.mean(0)
+    axes = np.linalg.eigh(np.cov((inner - centre).T))[1]
+    a, b = np.quantile((own - centre) @ axes, TRIM, axis=0)
+    order = np.argsort(a - b)
+    return LabelRegion(label, own, pixels, distance, (b - a)[order], centre, axes[:, 0])
