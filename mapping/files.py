@@ -1,4 +1,4 @@
-"""Files that are either complete or absent: written under a temporary name, then renamed.
+"""Files that are either complete or absent: written under a temporary name, then renamed; and the cache.
 
 What a process that was killed has left is removed when the same file is written again.
 """
@@ -71,6 +71,12 @@ def remove_left_over(path: Path, within: Path | None = None) -> None:
             else:
                 found.unlink(missing_ok=True)
             release(lock)
+
+
+def cache_dir() -> Path:
+    """The folder for what is worth keeping between runs: $CONTRAMAP_CACHE, or ~/.cache/contramap."""
+    override = os.environ.get("CONTRAMAP_CACHE")
+    return Path(override).expanduser() if override else Path.home() / ".cache" / "contramap"
 
 
 def write_atomically(path: Path, content: bytes) -> None:

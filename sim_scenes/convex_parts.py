@@ -20,7 +20,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull, QhullError
 
-from sim_scenes.objects.cache import cache_dir
+from mapping.files import cache_dir
 from sim_scenes.objects.object_model import ObjectModel
 
 

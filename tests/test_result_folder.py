@@ -50,7 +50,8 @@ def test_folder_holds_what_is_documented(result, reconstruction):
         for item in reconstruction.objects
         for kind in ("ply", "obj")
     }
-    assert files == meshes | {"scene.json", "map.npz", "field.npz", "overview.png"}
+    frame = {f"frame/{name}" for name in ("depth.png", "rgb.png", "labels.png", "names.json", "camera.json")}
+    assert files == meshes | frame | {"scene.json", "map.npz", "field.npz", "overview.png"}
     assert [path.name for path in result.parent.iterdir()] == ["result"]  # nothing temporary is left
 
 

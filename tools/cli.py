@@ -12,6 +12,7 @@ from tools.command_line import parse, with_preset
 from tools.demo import demo
 from tools.evaluation.command import evaluate
 from tools.exit_code import exit_code
+from tools.export import export
 from tools.map_frame import map_frame
 from tools.occupancy.command import occupancy
 from tools.reproduce import commands as reproduced
@@ -43,6 +44,7 @@ COMMANDS: dict[str, Command] = {
     "map": map_frame,
     "view": view,
     "occupancy": occupancy,
+    "export": export,
     "scenes": scenes,
     "fetch": fetch,
     "evaluate": evaluate,

@@ -7,7 +7,19 @@ from collections.abc import Callable
 
 from mapping.errors import ContraMapError
 
-EXTRAS = {"pooch": "sim", "rerun": "viz", "matplotlib": "viz", "ray": "cluster"}
+EXTRAS = {
+    "pooch": "sim",
+    "rerun": "viz",
+    "matplotlib": "viz",
+    "ray": "cluster",
+    "coacd": "export",
+    "manifold3d": "export",
+    "pxr": "export",
+    "rosbags": "export",
+    "yaml": "export",
+    "zmq": "serve",
+    "msgpack": "serve",
+}
 """Package -> the extra that brings it."""
 
 

@@ -18,7 +18,7 @@ SCENE = "scene.json"
 """The file that makes a folder a result; it is written last."""
 RECORDING = "recording.rrd"
 """`contramap view` adds it to results that have none."""
-OWN = frozenset({SCENE, "map.npz", "field.npz", "overview.png", RECORDING, "objects"})
+OWN = frozenset({SCENE, "map.npz", "field.npz", "overview.png", RECORDING, "objects", "frame"})
 """What results of earlier versions, which do not list their files, hold."""
 OF_THE_SYSTEM = frozenset({".DS_Store", "Thumbs.db", "desktop.ini"})
 """File browsers leave these behind; they are nobody's data."""

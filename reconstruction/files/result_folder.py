@@ -6,6 +6,7 @@ objects/<label>_<name>/mesh.obj   the same surface for planners
 objects/other/mesh.ply, mesh.obj  obstacles near objects that were measured but carry no label, if any
 map.npz                           the fitted map (mapping.load_map)
 field.npz                         occupancy and p(uncertain) on each object's lattice
+frame/                            the frame: depth and colours as measured, labels after cleaning, camera
 overview.png                      one picture of all of it
 recording.rrd                     when asked for
 """
@@ -14,8 +15,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import trimesh
@@ -23,6 +25,7 @@ import trimesh
 from mapping.errors import DataError
 from mapping.folders import staged_folder
 from mapping.guarded_files import read_json
+from perception.frame import Frame
 from reconstruction.files.mesh_files import decode_ply, encode_obj, encode_ply, loads_closed
 from reconstruction.files.output_folder import (
     RECORDING,
@@ -32,13 +35,21 @@ from reconstruction.files.output_folder import (
     written_files,
 )
 from reconstruction.files.scene_json import FORMAT, OTHER_FOLDER, describe, object_folder, to_json
+from reconstruction.files.stored_frame import read_frame, write_frame
 from reconstruction.pictures.overview import draw_overview
 from reconstruction.result import Reconstruction
+
+if TYPE_CHECKING:
+    from mapping.contramap import ContraMap
+    from reconstruction.distance import DistanceField, Distances
 
 
 @dataclass(frozen=True)
 class StoredObject:
-    """One object read back: mesh [m, world frame], uncertainty (V,), pose and extents as in scene.json."""
+    """One object read back: mesh [m, world frame], uncertainty (V,), pose and extents as in scene.json.
+
+    class_index: the object's column in the map's probabilities.
+    """
 
     label: int
     name: str
@@ -47,6 +58,7 @@ class StoredObject:
     T_world_object: np.ndarray
     extents: np.ndarray
     folder: Path
+    class_index: int
 
 
 @dataclass(frozen=True)
@@ -56,6 +68,36 @@ class StoredResult:
     folder: Path
     scene: dict[str, Any]
     objects: tuple[StoredObject, ...]
+
+    def frame(self) -> Frame:
+        """The frame the result was made from; raises DataError when it is missing or damaged."""
+        return read_frame(self.folder)
+
+    def map(self) -> ContraMap:
+        """The fitted map, in the table frame."""
+        from mapping.model_io import load_map
+
+        return load_map(self.folder / "map.npz")
+
+    @property
+    def T_world_table(self) -> np.ndarray:
+        """(4, 4) from the table frame, whose z axis is the support's normal, to the world frame of all
+        meshes."""
+        return np.array(self.scene["T_world_table"], float).reshape(4, 4)
+
+    def distance(self, points: np.ndarray, label: int | None = None) -> Distances:
+        """As Reconstruction.distance; needs the stored map."""
+        if label not in self._distance_fields:
+            from reconstruction.distance import distance_to
+
+            meshes = {item.label: item.mesh for item in self.objects}
+            field = distance_to(meshes, label, self.T_world_table, self.map())
+            self._distance_fields[label] = field
+        return self._distance_fields[label](points)
+
+    @cached_property
+    def _distance_fields(self) -> dict[int | None, DistanceField]:
+        return {}
 
 
 def save_reconstruction(
@@ -91,7 +133,7 @@ def load_result(folder: Path) -> StoredResult:
     if not isinstance(scene, dict) or scene.get("format") != FORMAT:
         raise DataError(f"{path}: not a scene.json of this version (format {FORMAT}); map the frame again")
     try:
-        objects = tuple(_load_object(folder, entry) for entry in scene["objects"])
+        objects = tuple(_load_object(folder, entry, k) for k, entry in enumerate(scene["objects"], 1))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise DataError(
             f"{path}: an object's entry is incomplete ({error!r}); map the frame again"
@@ -121,6 +163,7 @@ def _write(
         (place / "mesh.obj").write_bytes(encode_obj(other.mesh))
     reconstruction.map.save(folder / "map.npz")
     _write_fields(reconstruction, folder / "field.npz")
+    write_frame(reconstruction.frame, reconstruction.observation, folder)
     draw_overview(reconstruction, folder / "overview.png", truth)
     if recording:
         from reconstruction.pictures.recording import record
@@ -145,7 +188,7 @@ def _write_fields(reconstruction: Reconstruction, path: Path) -> None:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
-def _load_object(folder: Path, entry: dict[str, Any]) -> StoredObject:
+def _load_object(folder: Path, entry: dict[str, Any], number: int) -> StoredObject:
     path = folder / str(entry["mesh"])
     if not path.resolve().is_relative_to(folder.resolve()):
         raise DataError(f"{folder / 'scene.json'}: mesh path {entry['mesh']!r} leaves the result folder")
@@ -158,4 +201,5 @@ def _load_object(folder: Path, entry: dict[str, Any]) -> StoredObject:
         T_world_object=np.array(entry["T_world_object"], float).reshape(4, 4),
         extents=np.array(entry["extents"], float).reshape(3),
         folder=path.parent,
+        class_index=int(entry.get("class_index", number)),
     )

@@ -7,7 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from mapping.errors import DataError
-from sim_scenes.objects.cache import cache_dir
+from mapping.files import cache_dir
 from sim_scenes.objects.object_model import ObjectModel, load_model
 
 MESH_FILE = Path("google_16k/textured.obj")

@@ -1,0 +1,188 @@
+"""Closed meshes as a few convex parts that physics engines accept, with their measured error; cached by
+content.
+
+Knows meshes only; nothing of results, formats or engines.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from queue import SimpleQueue
+
+import numpy as np
+import trimesh
+
+from mapping.files import cache_dir, write_atomically
+from reconstruction.export.coacd_process import CoacdProcess
+from reconstruction.export.parts_error import parts_error
+
+VERSION = "1"
+"""Changes when the same mesh would be cut differently by this code."""
+
+
+@dataclass(frozen=True)
+class CollisionConfig:
+    """How finely a mesh is cut into convex parts."""
+
+    concavity: float = 0.003
+    """Largest concavity left in a part [m]."""
+    simplify: float = 0.0012
+    """The mesh is simplified by this much before it is cut [m]."""
+    convex_within: float = 0.002
+    """A mesh whose convex hull is nowhere further from it than this is one part [m]."""
+    samples: int = 200
+    """Points a part's concavity is measured with; the cutting takes time in proportion."""
+    candidates: int = 5
+    """Cutting planes tried along each axis."""
+    iterations: int = 10
+    """Rounds of the search for a cut."""
+    seed: int = 0
+    """Of the cutter."""
+    merge: bool = False
+    """Join parts again where their union is convex enough: a tenth fewer parts for three times the time."""
+    time_limit_s: float = 120.0
+    """Seconds after which an object becomes its convex hull; its error then says so."""
+
+
+@dataclass(frozen=True)
+class ConvexParts:
+    """Convex hulls whose union stands for a mesh, in the mesh's frame.
+
+    parts: closed meshes [m]. missing_m, excess_m: largest distance [m] from the mesh's surface to the parts,
+    and of the parts' surface from within the mesh, over the sampled points of parts_error.
+    """
+
+    parts: tuple[trimesh.Trimesh, ...]
+    missing_m: float
+    excess_m: float
+
+    @property
+    def error_m(self) -> float:
+        return max(self.missing_m, self.excess_m)
+
+
+def convex_parts(
+    meshes: Sequence[trimesh.Trimesh],
+    config: CollisionConfig | None = None,
+    done: Callable[[], None] = lambda: None,
+) -> list[ConvexParts]:
+    """Convex parts of each closed mesh [m]; `done` is called after each. Several are cut at a time."""
+    config = config or CollisionConfig()
+    workers = max(1, min(len(meshes), os.cpu_count() or 1))
+    idle: SimpleQueue[CoacdProcess] = SimpleQueue()
+    for _ in range(workers):
+        idle.put(CoacdProcess())
+
+    def one(mesh: trimesh.Trimesh) -> ConvexParts:
+        process = idle.get()
+        try:
+            return _parts_of(mesh, config, process)
+        finally:
+            idle.put(process)
+            done()
+
+    try:
+        # The largest first: the last one to finish decides.
+        order = sorted(range(len(meshes)), key=lambda i: -len(meshes[i].faces))
+        with ThreadPoolExecutor(workers) as pool:
+            found = dict(zip(order, pool.map(lambda i: one(meshes[i]), order)))
+    finally:
+        for _ in range(workers):
+            idle.get().close()
+    return [found[i] for i in range(len(meshes))]
+
+
+def _parts_of(mesh: trimesh.Trimesh, config: CollisionConfig, process: CoacdProcess) -> ConvexParts:
+    path = _cached_path(mesh, config)
+    points = _read(path)
+    if points is None:
+        points = _cut(mesh, config, process)
+        _write(path, points)
+    hulls = tuple(hull for part in points if (hull := _hull(part)) is not None)
+    missing, excess = parts_error(mesh, hulls)
+    return ConvexParts(hulls, missing, excess)
+
+
+def _cut(mesh: trimesh.Trimesh, config: CollisionConfig, process: CoacdProcess) -> list[np.ndarray]:
+    """Vertices (N, 3) of each part."""
+    hull = mesh.convex_hull
+    if max(parts_error(mesh, (hull,))) <= config.convex_within:
+        return [np.asarray(hull.vertices)]
+    settings = {
+        "threshold": config.concavity,
+        "real_metric": True,  # the threshold is in metres
+        "preprocess_mode": "off",  # remeshing would grow thin parts by millimetres
+        "resolution": config.samples,
+        "mcts_nodes": config.candidates,
+        "mcts_iterations": config.iterations,
+        "mcts_max_depth": 1,
+        "merge": config.merge,
+        "seed": config.seed,
+    }
+    simple, manifold = simplified(mesh, config.simplify)
+    if not manifold:
+        settings["preprocess_mode"] = "on"
+    return process.cut(simple, settings, config.time_limit_s) or [np.asarray(hull.vertices)]
+
+
+def simplified(mesh: trimesh.Trimesh, tolerance: float) -> tuple[trimesh.Trimesh, bool]:
+    """The mesh with fewer triangles, nowhere moved by more than `tolerance` [m]; and whether it is manifold.
+
+    A mesh that is not manifold comes back as it is.
+    """
+    import manifold3d
+
+    given = manifold3d.Mesh(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.uint32))
+    solid = manifold3d.Manifold(given)
+    if solid.status() != manifold3d.Error.NoError or solid.is_empty():
+        return mesh, False
+    simple = solid.simplify(tolerance).to_mesh()
+    return trimesh.Trimesh(simple.vert_properties[:, :3].astype(float), simple.tri_verts, process=False), True
+
+
+def _hull(points: np.ndarray) -> trimesh.Trimesh | None:
+    """The closed convex hull of a part; None when it is flat, which no engine accepts."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        found = ConvexHull(points)
+    except (QhullError, ValueError):
+        return None
+    number = np.zeros(len(points), int)
+    number[found.vertices] = np.arange(len(found.vertices))
+    corners, faces = points[found.vertices], number[found.simplices]
+    # Qhull leaves the winding open; outwards is where its plane's normal points.
+    a, b, c = (corners[faces[:, i]] for i in range(3))
+    inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), found.equations[:, :3]) < 0
+    faces[inwards] = faces[inwards, ::-1]
+    return trimesh.Trimesh(corners, faces, process=False)
+
+
+def _cached_path(mesh: trimesh.Trimesh, config: CollisionConfig) -> Path:
+    digest = hashlib.sha256(repr((VERSION, sorted(asdict(config).items()))).encode())
+    digest.update(np.ascontiguousarray(mesh.vertices, np.float32).tobytes())
+    digest.update(np.ascontiguousarray(mesh.faces, np.int64).tobytes())
+    return cache_dir() / "coacd_parts" / f"{digest.hexdigest()[:32]}.npz"
+
+
+def _read(path: Path) -> list[np.ndarray] | None:
+    """Parts kept from an earlier run; None when there are none, or the file is damaged."""
+    try:
+        with np.load(path) as kept:
+            return [kept[name] for name in kept.files]
+    except (OSError, ValueError, EOFError, KeyError):
+        return None
+
+
+def _write(path: Path, points: list[np.ndarray]) -> None:
+    from io import BytesIO
+
+    content = BytesIO()
+    np.savez_compressed(content, *points)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, content.getvalue())

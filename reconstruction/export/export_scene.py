@@ -1,0 +1,165 @@
+"""What every format may ask of a result: objects in their own frame, poses, convex parts, the frame,
+distances.
+
+Knows a stored result; knows no format. What is costly is worked out when first asked for, and once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from mapping.errors import ConfigError
+from perception.camera import invert_rigid, transform
+from perception.frame import Frame
+from reconstruction.export.collision import CollisionConfig, ConvexParts, convex_parts
+from reconstruction.files.result_folder import StoredResult
+from reconstruction.files.scene_json import object_folder
+
+
+@dataclass(frozen=True)
+class ExportConfig:
+    """What exports can be told."""
+
+    density: float = 500.0
+    """Mass per volume of the objects [kg/m^3]: a filled box of groceries."""
+    friction: float = 0.8
+    """Coefficient of friction written for the objects."""
+    inflate: float | None = None
+    """Collision shapes and distances take in whatever is occupied with more than this probability (0..1);
+    None: the meshes as they are."""
+
+
+@dataclass(frozen=True)
+class ExportObject:
+    """One object: mesh and solid [m] in the object's frame (origin in its box's centre, z up).
+
+    key: <label>_<name>, safe as a file and node name. mesh: the surface for the eye. solid: the surface that
+    collisions are taken from; the mesh itself unless it was inflated.
+    """
+
+    key: str
+    label: int
+    name: str
+    mesh: trimesh.Trimesh
+    solid: trimesh.Trimesh
+    T_world_object: np.ndarray
+    extents: np.ndarray
+
+    @property
+    def position(self) -> list[float]:
+        """Origin of the object's frame in the world [m]."""
+        return [float(value) for value in self.T_world_object[:3, 3]]
+
+    @cached_property
+    def quaternion_xyzw(self) -> list[float]:
+        """Unit quaternion x y z w of T_world_object, w >= 0."""
+        from scipy.spatial.transform import Rotation
+
+        values = Rotation.from_matrix(self.T_world_object[:3, :3]).as_quat(canonical=True)
+        return [float(value) for value in values]
+
+    @property
+    def quaternion_wxyz(self) -> list[float]:
+        """Unit quaternion w x y z of T_world_object, w >= 0."""
+        x, y, z, w = self.quaternion_xyzw
+        return [w, x, y, z]
+
+    def inertia(self, density: float) -> tuple[float, np.ndarray, np.ndarray]:
+        """Mass [kg], centre of mass (3,) [m] and inertia (3, 3) [kg m^2] about it, in the object's frame."""
+        solid = self.mesh.copy()
+        solid.density = density
+        return float(solid.mass), np.array(solid.center_mass), np.array(solid.moment_inertia)
+
+
+class ExportScene:
+    """A stored result, ready to be written in any format. progress: called after each object that was cut."""
+
+    def __init__(
+        self,
+        result: StoredResult,
+        config: ExportConfig | None = None,
+        progress: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.result = result
+        self.config = config or ExportConfig()
+        if not self.config.density > 0:
+            raise ConfigError(f"density must be > 0 kg/m^3, got {self.config.density:g}")
+        if self.config.inflate is not None and not 0 < self.config.inflate < 1:
+            raise ConfigError(f"inflate is a probability between 0 and 1, got {self.config.inflate:g}")
+        self._progress = progress
+
+    @cached_property
+    def objects(self) -> tuple[ExportObject, ...]:
+        """The objects in the order of scene.json."""
+        inflated = self._inflated()
+        found = []
+        for item in self.result.objects:
+            T_object_world = invert_rigid(item.T_world_object)
+            mesh = moved(item.mesh, T_object_world)
+            key = object_folder(item.label, item.name)
+            solid = moved(inflated[item.label], T_object_world) if item.label in inflated else mesh
+            found.append(
+                ExportObject(key, item.label, item.name, mesh, solid, item.T_world_object, item.extents)
+            )
+        return tuple(found)
+
+    @cached_property
+    def parts(self) -> dict[int, ConvexParts]:
+        """Label -> convex parts [m] of the object's solid, in the object's frame."""
+        cut = convex_parts([item.solid for item in self.objects], CollisionConfig(), self._progress)
+        return {item.label: parts for item, parts in zip(self.objects, cut)}
+
+    @property
+    def has_parts(self) -> bool:
+        """Whether convex parts have been asked for by now."""
+        return "parts" in self.__dict__
+
+    @cached_property
+    def frame(self) -> Frame:
+        """The frame the result was made from."""
+        return self.result.frame()
+
+    @property
+    def T_world_table(self) -> np.ndarray:
+        """(4, 4) from the table frame to the world frame."""
+        return self.result.T_world_table
+
+    @property
+    def support_found(self) -> bool:
+        """Whether the table frame's z = 0 is a support plane."""
+        return self.result.scene.get("support_plane") is not None
+
+    @property
+    def up(self) -> np.ndarray:
+        """Unit vector (3,) in the world frame against gravity: the support's normal, or z."""
+        return self.T_world_table[:3, 2] if self.support_found else np.array([0.0, 0.0, 1.0])
+
+    def collision_statement(self) -> dict[str, Any]:
+        """Number of convex parts of each object, and how far they are from its surface [mm]."""
+        return {
+            item.key: {
+                "parts": len(self.parts[item.label].parts),
+                "missing_mm": round(1e3 * self.parts[item.label].missing_m, 2),
+                "excess_mm": round(1e3 * self.parts[item.label].excess_m, 2),
+            }
+            for item in self.objects
+        }
+
+    def _inflated(self) -> dict[int, trimesh.Trimesh]:
+        """Label -> mesh [m, world frame] of what may be occupied; {} unless asked for."""
+        if self.config.inflate is None:
+            return {}
+        from reconstruction.inflate import inflated_meshes
+
+        return inflated_meshes(self.result, self.config.inflate)
+
+
+def moved(mesh: trimesh.Trimesh, T: np.ndarray) -> trimesh.Trimesh:
+    """A copy of a mesh under the rigid T (4, 4)."""
+    return trimesh.Trimesh(transform(T, np.asarray(mesh.vertices, float)), mesh.faces, process=False)

@@ -1,0 +1,105 @@
+"""MuJoCo: scene.xml with a free body an object, inertia from its mesh, collisions from its convex parts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree as xml
+
+import numpy as np
+
+from reconstruction.export.export_scene import ExportObject, ExportScene
+from reconstruction.files.mesh_files import encode_obj
+
+GRAVITY = 9.81
+"""[m/s^2], along the support's normal, downwards."""
+SEEN_GROUP, CONVEX_GROUP = "2", "3"
+"""MuJoCo's viewer shows group 2 and hides group 3."""
+STATEMENT = {
+    "frame": "bodies in the world frame of the result, meshes in each object's own frame",
+    "unit": "m, kg",
+    "quaternion": "w x y z",
+}
+
+
+def write(scene: ExportScene, folder: Path) -> None:
+    """scene.xml and meshes/<key>.obj, meshes/<key>_<i>.obj."""
+    root = xml.Element("mujoco", model="contramap_scene")
+    root.append(xml.Comment(" world frame, m, kg, quaternions w x y z "))
+    xml.SubElement(root, "compiler", meshdir="meshes", angle="radian")
+    xml.SubElement(root, "option", gravity=_numbers(-GRAVITY * scene.up))
+    # Up to a hundred small parts an object: memory for their contacts.
+    xml.SubElement(root, "size", memory="256M")
+    assets, world = xml.SubElement(root, "asset"), xml.SubElement(root, "worldbody")
+    if scene.support_found:
+        _support(world, scene)
+    (folder / "meshes").mkdir()
+    for item in scene.objects:
+        _body(item, scene, assets, world, folder / "meshes")
+    xml.indent(root)
+    xml.ElementTree(root).write(folder / "scene.xml", encoding="utf-8", xml_declaration=True)
+
+
+def _support(world: xml.Element, scene: ExportScene) -> None:
+    from scipy.spatial.transform import Rotation
+
+    T = scene.T_world_table
+    x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)
+    xml.SubElement(
+        world,
+        "geom",
+        name="support",
+        type="plane",
+        size="1 1 0.05",
+        pos=_numbers(T[:3, 3]),
+        quat=_numbers(np.array([w, x, y, z])),
+        friction=_friction(scene),
+    )
+
+
+def _body(
+    item: ExportObject, scene: ExportScene, assets: xml.Element, world: xml.Element, folder: Path
+) -> None:
+    body = xml.SubElement(
+        world,
+        "body",
+        name=item.key,
+        pos=_numbers(np.array(item.position)),
+        quat=_numbers(np.array(item.quaternion_wxyz)),
+    )
+    xml.SubElement(body, "freejoint", name=item.key)
+    (folder / f"{item.key}.obj").write_bytes(encode_obj(item.mesh))
+    xml.SubElement(assets, "mesh", name=item.key, file=f"{item.key}.obj", inertia="exact")
+    xml.SubElement(
+        body,
+        "geom",
+        name=item.key,
+        type="mesh",
+        mesh=item.key,
+        density=f"{scene.config.density:g}",
+        contype="0",
+        conaffinity="0",
+        group=SEEN_GROUP,
+    )
+    for index, part in enumerate(scene.parts[item.label].parts):
+        name = f"{item.key}_{index:03d}"
+        (folder / f"{name}.obj").write_bytes(encode_obj(part))
+        xml.SubElement(assets, "mesh", name=name, file=f"{name}.obj")
+        xml.SubElement(
+            body,
+            "geom",
+            name=name,
+            type="mesh",
+            mesh=name,
+            mass="0",
+            group=CONVEX_GROUP,
+            friction=_friction(scene),
+        )
+
+
+def _friction(scene: ExportScene) -> str:
+    """Sliding, turning [m] and rolling [m]."""
+    return f"{scene.config.friction:g} 0.005 0.0001"
+
+
+def _numbers(values: np.ndarray) -> str:
+    return " ".join(f"{value:.9f}" for value in values)

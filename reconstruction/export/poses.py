@@ -1,0 +1,28 @@
+"""poses.json: where the objects of an export are, in one place and in words. Knows poses, no format."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from reconstruction.export.export_scene import ExportScene
+
+
+def write_poses(scene: ExportScene, path: Path) -> None:
+    """Position [m], quaternions in both orders and T_world_object (4, 4) of each object, and the way up."""
+    content = {
+        "frame": "world",
+        "unit": "m",
+        "up": scene.up.tolist(),
+        "objects": {
+            item.key: {
+                "position": item.position,
+                "quaternion_xyzw": item.quaternion_xyzw,
+                "quaternion_wxyz": item.quaternion_wxyz,
+                "T_world_object": item.T_world_object.tolist(),
+                "extents": item.extents.tolist(),
+            }
+            for item in scene.objects
+        },
+    }
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

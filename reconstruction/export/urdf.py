@@ -1,0 +1,93 @@
+"""URDF: one file an object, a body free to move, and scene.urdf, where all stand fixed in the world frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree as xml
+
+import numpy as np
+import trimesh
+
+from reconstruction.export.export_scene import ExportObject, ExportScene
+from reconstruction.export.poses import write_poses
+from reconstruction.files.mesh_files import encode_obj
+
+STATEMENT = {
+    "frame": "meshes, inertia and links in each object's own frame; poses.json and scene.urdf hold their "
+    "poses "
+    "in the world frame of the result",
+    "unit": "m, kg, rad",
+    "quaternion": "poses.json says its order in the key: quaternion_xyzw; scene.urdf has fixed-axis roll "
+    "pitch yaw",
+}
+
+
+def write(scene: ExportScene, folder: Path) -> None:
+    """<key>.urdf, meshes/<key>/visual.obj and part_<i>.obj, scene.urdf and poses.json."""
+    whole = xml.Element("robot", name="contramap_scene")
+    whole.append(xml.Comment(" world frame, m, kg; rpy about fixed axes [rad] "))
+    xml.SubElement(whole, "link", name="world")
+    for item in scene.objects:
+        parts = scene.parts[item.label].parts
+        _write_meshes(item, parts, folder / "meshes" / item.key)
+        single = xml.Element("robot", name=item.key)
+        single.append(xml.Comment(" object frame, m, kg; the pose in the world is in poses.json "))
+        for robot in (single, whole):
+            robot.append(_link(item, len(parts), scene.config.density, scene.config.friction))
+        _save(single, folder / f"{item.key}.urdf")
+        whole.append(_fixed_joint(item))
+    _save(whole, folder / "scene.urdf")
+    write_poses(scene, folder / "poses.json")
+
+
+def _write_meshes(item: ExportObject, parts: tuple[trimesh.Trimesh, ...], folder: Path) -> None:
+    folder.mkdir(parents=True)
+    (folder / "visual.obj").write_bytes(encode_obj(item.mesh))
+    for index, part in enumerate(parts):
+        (folder / f"part_{index:03d}.obj").write_bytes(encode_obj(part))
+
+
+def _link(item: ExportObject, parts: int, density: float, friction: float) -> xml.Element:
+    link = xml.Element("link", name=item.key)
+    mass, centre, tensor = item.inertia(density)
+    inertial = xml.SubElement(link, "inertial")
+    xml.SubElement(inertial, "origin", xyz=_numbers(centre), rpy="0 0 0")
+    xml.SubElement(inertial, "mass", value=f"{mass:.9g}")
+    values = {
+        f"i{'xyz'[a]}{'xyz'[b]}": f"{tensor[a, b]:.9g}"
+        for a, b in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+    }
+    xml.SubElement(inertial, "inertia", values)
+    # Read by pybullet, passed over by others.
+    contact = xml.SubElement(link, "contact")
+    xml.SubElement(contact, "lateral_friction", value=f"{friction:g}")
+    _geometry(link, "visual", f"meshes/{item.key}/visual.obj")
+    for index in range(parts):
+        _geometry(link, "collision", f"meshes/{item.key}/part_{index:03d}.obj")
+    return link
+
+
+def _geometry(link: xml.Element, kind: str, file: str) -> None:
+    shape = xml.SubElement(link, kind)
+    xml.SubElement(shape, "origin", xyz="0 0 0", rpy="0 0 0")
+    xml.SubElement(xml.SubElement(shape, "geometry"), "mesh", filename=file)
+
+
+def _fixed_joint(item: ExportObject) -> xml.Element:
+    from scipy.spatial.transform import Rotation
+
+    joint = xml.Element("joint", name=f"world_to_{item.key}", type="fixed")
+    xml.SubElement(joint, "parent", link="world")
+    xml.SubElement(joint, "child", link=item.key)
+    angles = Rotation.from_matrix(item.T_world_object[:3, :3]).as_euler("xyz")
+    xml.SubElement(joint, "origin", xyz=_numbers(item.position), rpy=_numbers(angles))
+    return joint
+
+
+def _numbers(values: np.ndarray | list[float]) -> str:
+    return " ".join(f"{value:.9f}" for value in values)
+
+
+def _save(robot: xml.Element, path: Path) -> None:
+    xml.indent(robot)
+    xml.ElementTree(robot).write(path, encoding="utf-8", xml_declaration=True)
