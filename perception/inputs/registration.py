@@ -10,8 +10,10 @@ from perception.inputs.distortion import Distortion
 HIDDEN = 0.015
 """A point this much [m] behind the nearest one that falls into the same place of the colour image is hidden
 there."""
-HIDDEN_REACH = 5
-"""Size of the neighbourhood in which that is asked [px of the depth image's scale]."""
+STEEP = 4.0
+"""Depth steps up to this many times a pixel's width are a slanted surface."""
+COARSE = 0.8
+"""Hiding is asked in an image this many times coarser than depth, so that a near surface has no holes."""
 
 
 def to_depth_camera(
@@ -68,14 +70,11 @@ def _hidden(
     z: np.ndarray, column: np.ndarray, row: np.ndarray, color_camera: Camera, camera: Camera
 ) -> np.ndarray:
     """Which points (N,) lie behind a nearer one in the colour image; drawn at the depth image's scale."""
-    import cv2
-
-    scale = min(1.0, camera.width / color_camera.width)
+    scale = COARSE * min(1.0, camera.width / color_camera.width)
     shape = (int(np.ceil(color_camera.height * scale)) + 1, int(np.ceil(color_camera.width * scale)) + 1)
     place = (row * scale).astype(np.int64) * shape[1] + (column * scale).astype(np.int64)
     nearest = np.full(shape[0] * shape[1], np.inf, np.float32)
     np.minimum.at(nearest, place, z.astype(np.float32))
-    around = cv2.erode(nearest.reshape(shape), np.ones((HIDDEN_REACH, HIDDEN_REACH), np.uint8)).reshape(-1)
-    # A slanted surface falls by itself within the neighbourhood: only a jump hides.
-    slope = HIDDEN_REACH * z / camera.K[0, 0]
-    return np.asarray(z - around[place] > HIDDEN + 4 * slope)
+    # A slanted surface falls by itself within a pixel: only a jump hides.
+    slope = z / (COARSE * camera.K[0, 0])
+    return np.asarray(z - nearest[place] > HIDDEN + STEEP * slope)
