@@ -84,7 +84,8 @@ def test_the_obstacle_has_a_closed_mesh_where_it_was_seen(tabletop: Tabletop, re
     world = transform(result.T_world_table, result.observation.other.points)
     assert np.quantile(Solid(mesh).distance(world), 0.9) < 0.01
     low, high = shape_mesh(tabletop.shapes[0]).get_min_bound(), shape_mesh(tabletop.shapes[0]).get_max_bound()
-    assert (np.abs(mesh.bounds[0][2]) < 0.02) and (np.abs(mesh.bounds[1] - high) < 0.06).all()
+    assert np.abs(mesh.bounds[0][2]) < 0.02
+    assert (np.abs(mesh.bounds[1] - high) < 0.06).all()
     assert (mesh.bounds[0] > low - 0.06).all()
 
 

@@ -85,7 +85,6 @@ def _describe_object(
         "faces": len(item.mesh.faces),
         "labelled_pixels": seen.labelled if seen else None,
         "dropped_pixels": seen.dropped if seen else None,
-        "class_index": item.class_index,
         "measured_pixels": len(seen.pixels) if seen else None,
         "guessed_pixels": len(seen.guessed) if seen else None,
         "support_height": seen.floor if seen and reconstruction.observation.support is not None else None,
