@@ -1,4 +1,4 @@
-"""`contramap map`: one frame to a result folder."""
+"""`contramap map`: one frame to a result folder, or many frames to one each."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from mapping.errors import ConfigError
 from reconstruction.config import TABLETOP, PipelineConfig, PresetName
 from tools.frame_source import FrameSource
+from tools.map_many import map_all, result_folders
 from tools.options import pipeline_config
 
 if TYPE_CHECKING:
@@ -16,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def map_frame(
-    frame: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="FRAME")] = None,
+    frame: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FRAME")] = (),
     *,
     out: Path,
     rgb: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
@@ -45,11 +47,13 @@ def map_frame(
     """Map an RGB-D frame: one watertight metric mesh with uncertainty per object.
 
     Example: contramap map FRAME --out result --rrd run.rrd
+    Several frames go to one folder each, in one process: contramap map FRAME FRAME ... --out results
 
     Args:
         frame: Frame folder (rgb.png, depth.png or depth.npy, labels.png or masks/, camera.json or a ROS or
             RealSense camera file), .npz file, or organised .pcd or .ply cloud; see docs/inputs.md.
-        out: Result folder; must be empty or absent, or see --overwrite.
+        out: Result folder; must be empty or absent, or see --overwrite. With several frames, the folder of
+            the results' folders, named as the frames are.
         rgb: Colour image, instead of FRAME.
         depth: Depth image, instead of FRAME: 16-bit PNG or TIFF, float TIFF, EXR, or .npy.
         labels: Instance labels, 0 = background: an image, .npy, COCO JSON, or a folder of masks; without them
@@ -72,16 +76,31 @@ def map_frame(
         overwrite: Replace an older result in --out.
         settings: Every setting of the pipeline; the defaults are those of --preset.
     """
+    from perception.frame_io import load_frame
     from reconstruction import reconstruct
     from reconstruction.files.result_folder import check_output, save_reconstruction
 
     chosen = pipeline_config(settings, config, set, device, prior, spacing, max_uncertainty)
+    if len(frame) > 1:
+        if rrd or rgb or depth or labels or intrinsics or camera or pose or bop:
+            raise ConfigError("several frames go with --out and settings only; map one at a time otherwise")
+        folders = result_folders(frame, out)
+        for folder in folders:
+            check_output(folder, overwrite)
+
+        def map_one(path: Path, folder: Path) -> None:
+            loaded = load_frame(path, depth_scale=depth_scale, trust=trust)
+            save_reconstruction(reconstruct(loaded, chosen, seed), folder, overwrite=overwrite)
+
+        map_all(frame, folders, map_one)
+        return
     check_output(out, overwrite)
     if rrd is not None:
         from reconstruction.pictures.recording import check_recording
 
         check_recording(rrd)
-    source = FrameSource(frame, rgb, depth, labels, intrinsics, camera, pose, depth_scale, bop, trust)
+    one = frame[0] if frame else None
+    source = FrameSource(one, rgb, depth, labels, intrinsics, camera, pose, depth_scale, bop, trust)
     reconstruction = reconstruct(source.load(), chosen, seed)
     save_reconstruction(reconstruction, out, overwrite=overwrite)
     if rrd is not None:

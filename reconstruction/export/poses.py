@@ -14,6 +14,7 @@ def write_poses(scene: ExportScene, path: Path) -> None:
         "frame": "world",
         "unit": "m",
         "up": scene.up.tolist(),
+        "support": _support(scene),
         "objects": {
             item.key: {
                 "position": item.position,
@@ -26,3 +27,14 @@ def write_poses(scene: ExportScene, path: Path) -> None:
         },
     }
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def _support(scene: ExportScene) -> dict[str, list[float]] | None:
+    """A point of the support plane, and the turn whose z axis is its normal; None when none was found."""
+    if not scene.support_found:
+        return None
+    from scipy.spatial.transform import Rotation
+
+    T = scene.T_world_table
+    turn = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)
+    return {"position": T[:3, 3].tolist(), "quaternion_xyzw": turn.tolist()}

@@ -74,7 +74,6 @@ def _describe_object(
     return {
         "label": item.label,
         "name": item.name,
-        "class_index": item.class_index,
         "mesh": f"{place}/mesh.ply",
         "mesh_obj": f"{place}/mesh.obj",
         "T_world_object": item.T_world_object,

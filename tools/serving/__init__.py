@@ -1,0 +1,1 @@
+"""The service: `contramap serve`, its messages and a client."""
