@@ -57,14 +57,14 @@ def checked_classes(y: np.ndarray, count: int, classes: int | None) -> tuple[np.
     return y, known
 
 
-def checked_widths(gamma: np.ndarray | float, count: int) -> np.ndarray:
+def checked_widths(gamma: np.ndarray | float, count: int, name: str = "gamma") -> np.ndarray:
     """gamma (H,) float32. Raises DataError when it is no number > 0, or not one for each hinge point."""
     try:
         widths = np.broadcast_to(np.asarray(gamma, np.float32), count).copy()
     except (TypeError, ValueError) as error:
-        raise DataError(f"gamma must be one number, or one for each of {count} hinge points") from error
+        raise DataError(f"{name} must be one number, or one for each of {count} hinge points") from error
     if not (np.isfinite(widths).all() and (widths > 0).all()):
-        raise DataError("gamma must be finite and > 0")
+        raise DataError(f"{name} must be finite and > 0")
     return widths
 
 

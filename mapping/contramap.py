@@ -24,13 +24,15 @@ from mapping.checks import (
 from mapping.config import MapConfig, ModelConfig
 from mapping.errors import ConfigError, DataError
 from mapping.hinges import grid_around
-from mapping.kernels import PREDICT_CUTOFF, blocks, dense_features
+from mapping.kernels import PREDICT_CUTOFF, blocks, dense_features, groups_of_width
 from mapping.lattice import LatticeEvaluator
 from mapping.map_file import StoredMap, write_map
 from mapping.preconditioner import sparse_factor
 from mapping.softmax import FitReport, fit_softmax
 from mapping.sparse_features import sparse_features
 
+QUERIES = 200_000
+"""Points whose sparse features are held at a time while predicting."""
 REACHED = 0.05
 """A sample whose strongest feature is below this is out of the hinge points' reach."""
 
@@ -60,12 +62,14 @@ class ContraMap:
         gamma: np.ndarray | float | None = None,
         weights: np.ndarray | None = None,
         classes: int | None = None,
+        amplitude: np.ndarray | None = None,
     ) -> ContraMap:
         """Fit the weights (paper, Section III-B).
 
         X: (N, d) points; y: (N,) int classes, the uncertain class being the largest, or (N, C+1) float
         distributions; hinges: (H, d), default a grid of hinge_spacing around the data; gamma: scalar or
-        (H,), default config.gamma; weights: (N,) > 0; classes: C + 1 when y may lack the last class.
+        (H,), default config.gamma; weights: (N,) > 0; classes: C + 1 when y may lack the last class;
+        amplitude: (H,) > 0, default 1: a hinge point with a larger one pays less penalty for its weight.
         Raises DataError for wrong shapes, NaN or labels out of range.
         """
         X = checked_points(X)
@@ -86,6 +90,11 @@ class ContraMap:
         check_resolution(X, self.gamma)
         self.offset = self._offset(count)
         features = sparse_features(X, self.hinges, self.gamma, self.config.fit_cutoff, self.device)
+        if amplitude is not None:
+            louder = torch.from_numpy(checked_widths(amplitude, len(self.hinges), "amplitude")).to(
+                self.device
+            )
+            features = features.scaled(louder)
         order = features.order.cpu().numpy()
         # The map says "uncertain" beyond its hinge points whatever lies there: samples out of reach would
         # only drive the outermost weights up.
@@ -103,6 +112,8 @@ class ContraMap:
             self.config.l2,
             self.config.fit,
         )
+        if amplitude is not None:
+            self.W *= louder[:, None]
         return self
 
     def predict_proba(self, X: np.ndarray) -> np.ndarray:
@@ -121,10 +132,21 @@ class ContraMap:
         out = self.offset.repeat(len(X), 1)
         if len(X) == 0:
             return out
+        if len(groups_of_width(self.gamma)) > 1:
+            return self._logits_of_scales(X)
         X_t, hinges, gamma = self._tensors(X, self.hinges, self.gamma)
         for rows, near in blocks(X, self.hinges, self.gamma, PREDICT_CUTOFF):
             rows_t, near_t = self._tensors(rows, near)
             out[rows_t] += dense_features(X_t[rows_t], hinges[near_t], gamma[near_t]) @ self.W[near_t]
+        return out
+
+    def _logits_of_scales(self, X: np.ndarray) -> torch.Tensor:
+        """Logits (N, C+1) of a map with widths far apart: from the same sparse features as in the fit."""
+        out = self.offset.repeat(len(X), 1)
+        for start in range(0, len(X), QUERIES):
+            part = X[start : start + QUERIES]
+            features = sparse_features(part, self.hinges, self.gamma, self.config.fit_cutoff, self.device)
+            out[features.order + start] += features.times(self.W)
         return out
 
     def lattice(self) -> LatticeEvaluator:

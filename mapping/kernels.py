@@ -12,6 +12,12 @@ import torch
 
 PREDICT_CUTOFF = 1e-7
 """Features below this are dropped while predicting: below float32 rounding of the logits."""
+APART = 4.0
+"""Kernels are looked at width by width when the largest gamma is this many times the smallest."""
+MOST_WIDTHS = 8
+"""More widths than this are not looked at one by one."""
+TOGETHER = 32
+"""Groups of points that follow each other, whose hinge points are looked for together first."""
 
 
 def dense_features(X: torch.Tensor, hinges: torch.Tensor, gamma: torch.Tensor) -> torch.Tensor:
@@ -41,13 +47,32 @@ def blocks(
     key = cell_numbers(np.floor((X - X.min(0)) / size))
     order = np.argsort(key, kind="stable")
     starts = np.flatnonzero(np.diff(key[order], prepend=-1))
-    for start, end in zip(starts, np.append(starts[1:], len(X))):
-        rows = order[start:end]
-        low, high = X[rows].min(0), X[rows].max(0)
-        gap = np.maximum(np.maximum(low - hinges, hinges - high), 0)
-        with np.errstate(over="ignore"):  # points may lie anywhere
-            near = np.flatnonzero((gap**2).sum(1) < radius**2)
-        yield rows, near
+    ends = np.append(starts[1:], len(X))
+    # Hinge points are looked for in two steps, near a row of groups and then near each group: with many
+    # groups and many hinge points, all pairs of them would take longer than the features.
+    for first in range(0, len(starts), TOGETHER):
+        part = order[starts[first] : ends[min(first + TOGETHER, len(starts)) - 1]]
+        around = _within(X[part], hinges, radius)
+        near_hinges, near_radius = hinges[around], radius[around]
+        for start, end in zip(starts[first : first + TOGETHER], ends[first : first + TOGETHER]):
+            rows = order[start:end]
+            yield rows, around[_within(X[rows], near_hinges, near_radius)]
+
+
+def _within(X: np.ndarray, hinges: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Indices of the hinge points (H, d) closer than their radius (H,) to the box around points (N, d)."""
+    gap = np.maximum(np.maximum(X.min(0) - hinges, hinges - X.max(0)), 0)
+    with np.errstate(over="ignore"):  # points may lie anywhere
+        return np.flatnonzero((gap**2).sum(1) < radius**2)
+
+
+def groups_of_width(gamma: np.ndarray) -> list[np.ndarray]:
+    """Indices of hinge points, apart by width where widths differ so much that groups of points fit for the
+    wide kernels would be compared with far too many narrow ones; else all of them together."""
+    widths = np.unique(gamma)
+    if len(widths) > MOST_WIDTHS or not len(widths) or widths[-1] < APART * widths[0]:
+        return [np.arange(len(gamma))]
+    return [np.flatnonzero(gamma == width) for width in widths]
 
 
 def cell_numbers(cell: np.ndarray) -> np.ndarray:

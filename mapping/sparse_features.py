@@ -5,13 +5,13 @@ Knows points, hinge points and widths; knows nothing of classes, weights' meanin
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
 from mapping.hinge_cells import HingeCells, hinge_cells
-from mapping.kernels import blocks, cell_numbers, dense_features, reach
+from mapping.kernels import blocks, cell_numbers, dense_features, groups_of_width, reach
 from mapping.sparse_rows import SparseRows
 from mapping.threads import map_in_threads
 
@@ -41,6 +41,11 @@ class SparseFeatures:
         """Phi W: (H, C) -> (N, C)."""
         return self.rows.times(W)
 
+    def scaled(self, amplitude: torch.Tensor) -> SparseFeatures:
+        """The same with the feature of each hinge point times its amplitude (H,)."""
+        values = self.rows.values * amplitude[self.rows.columns.long()]
+        return replace(self, rows=replace(self.rows, values=values))
+
 
 def sparse_features(
     X: np.ndarray,
@@ -52,7 +57,7 @@ def sparse_features(
     """Truncated features of X (N, d); each row keeps the hinges whose feature exceeds `cutoff`."""
     cells = hinge_cells(hinges, gamma, cutoff)
     if cells is None:
-        parts = _by_search(X, hinges, gamma, cutoff)
+        parts = _by_width(X, hinges, gamma, cutoff)
     else:
         parts = _by_cells(X, cells, float(reach(gamma.min(), cutoff)), cutoff)
     order, length, column, value = (torch.cat(part) for part in zip(*parts))
@@ -66,6 +71,31 @@ def sparse_features(
         SparseRows(*(t.to(device) for t in (torch.from_numpy(ends[:-1]), column, value))),
         len(hinges),
     )
+
+
+def _by_width(X: np.ndarray, hinges: np.ndarray, gamma: np.ndarray, cutoff: float) -> list[RowsOfPart]:
+    """Rows found by search; for each width alone where widths differ much, by trees of points."""
+    groups = groups_of_width(gamma)
+    if len(groups) == 1:
+        return _by_search(X, hinges, gamma, cutoff)
+    from scipy import sparse  # here, since both would add to the cost of importing the map
+    from scipy.spatial import cKDTree
+
+    narrowest = float(reach(gamma.max(), cutoff))
+    order = np.argsort(cell_numbers(np.floor((X - X.min(0)) / narrowest)), kind="stable")
+    points = cKDTree(X[order])
+
+    def pairs_of(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        width = float(gamma[chosen[0]])
+        found = points.sparse_distance_matrix(
+            cKDTree(hinges[chosen]), float(reach(width, cutoff)), output_type="ndarray"
+        )
+        return found["i"], chosen[found["j"]], np.exp(-width * found["v"] ** 2).astype(np.float32)
+
+    rows, columns, values = (np.concatenate(part) for part in zip(*map_in_threads(pairs_of, groups)))
+    table = sparse.coo_matrix((values, (rows, columns)), (len(X), len(hinges))).tocsr()
+    arrays = order, np.diff(table.indptr), table.indices.astype(np.int32), table.data
+    return [tuple(torch.from_numpy(a) for a in arrays)]  # type: ignore[list-item]
 
 
 def _by_search(X: np.ndarray, hinges: np.ndarray, gamma: np.ndarray, cutoff: float) -> list[RowsOfPart]:

@@ -37,7 +37,7 @@ def benchmark() -> None:
 
 
 def reproduce() -> None:
-    """Repeat the paper's experiments: `contramap reproduce toy | occupancy | hinges`."""
+    """Repeat the paper's experiments: `contramap reproduce toy | occupancy | semantic | hinges`."""
 
 
 COMMANDS: dict[str, Command] = {
@@ -56,7 +56,12 @@ COMMANDS: dict[str, Command] = {
 GROUPS: dict[str, dict[str, Command]] = {
     "fetch": {"ycb": fetch_ycb},
     "benchmark": {"latency": latency, "scaling": scaling},
-    "reproduce": {"toy": reproduced.toy, "occupancy": reproduced.occupancy, "hinges": reproduced.hinges},
+    "reproduce": {
+        "toy": reproduced.toy,
+        "occupancy": reproduced.occupancy,
+        "semantic": reproduced.semantic,
+        "hinges": reproduced.hinges,
+    },
 }
 DESCRIPTION = (
     "RGB-D frames to metric object meshes with uncertainty. `contramap --version` says which release this is."

@@ -1,1 +1,0 @@
-"""Data sets in layouts of their own, read as frames."""

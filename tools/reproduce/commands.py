@@ -1,4 +1,4 @@
-"""`contramap reproduce toy | occupancy | hinges`: the paper's experiments in the plane."""
+"""`contramap reproduce toy | occupancy | semantic | hinges`: the paper's experiments."""
 
 from __future__ import annotations
 
@@ -93,6 +93,52 @@ def occupancy(
         overwrite,
     )
     _report(summary, occupancy_table(summary), out, json)
+
+
+def semantic(
+    *,
+    data: Path,
+    out: Path,
+    dataset: str = "semantickitti",
+    protocols: tuple[str, ...] = (),
+    methods: tuple[str, ...] = (),
+    sequences: tuple[str, ...] = (),
+    seed: int = 0,
+    repeats: int = 1,
+    overwrite: bool = False,
+    json: JsonFile = None,
+) -> None:
+    """Semantic maps of labelled scans: ContraMap, a Hilbert map of the same kernels, and k-d trees.
+
+    Example: contramap reproduce semantic --data ../shared/data/semantickitti --protocols points --out sem
+
+    Args:
+        data: Folder of the data set: sequences/00/velodyne ... for semantickitti; scenenet/ or aws_worlds/.
+        out: Folder for runs and table; a command that was cut off goes on there.
+        dataset: semantickitti, scenenet or house.
+        protocols: points, blocks, next, labels10 to labels40, patches10 to patches40; all when left out.
+        methods: contramap, hilbert, nearest, vote, voxel; all when left out.
+        sequences: Sequences of semantickitti, such as 00 03; 00 to 09 when left out.
+        seed: First seed.
+        repeats: Number of seeds.
+        overwrite: Compute again what is there already.
+        json: Also write the figures to this file.
+    """
+    from tools.reproduce.semantic.methods import METHODS
+    from tools.reproduce.semantic.protocols import PROTOCOLS
+    from tools.reproduce.semantic.run import run_semantic, semantic_table
+
+    summary = run_semantic(
+        data,
+        out,
+        dataset,
+        protocols or PROTOCOLS,
+        methods or METHODS,
+        sequences,
+        _seeds(seed, repeats),
+        overwrite=overwrite,
+    )
+    _report(summary, semantic_table(summary), out, json)
 
 
 def hinges(
