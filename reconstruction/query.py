@@ -12,7 +12,7 @@ import numpy as np
 
 from mapping.contramap import ContraMap
 from perception.observation import NOTHING, OTHER, SUPPORT, Observation
-from perception.space import Space
+from perception.space import Sight, Space
 
 EMPTY = 0
 TOUCHING = 0.0015
@@ -21,6 +21,12 @@ SURE_WALL = 0.003
 """What the map calls empty this little behind an object's measured surface belongs to the object [m]."""
 OBSTACLE_WALL = 0.02
 """The same for obstacles without a label; what is deeper behind them is unknown [m]."""
+FOOT = 0.005
+"""Hidden space this close above a support is not known to be free: the support is known no better [m]."""
+PIXEL_DEPTH = 0.01
+"""At the rim of an obstacle, what is this little behind its nearest pixel's surface belongs to it [m]."""
+GAP = 2
+"""Pixels without depth this close to measured ones lie in a gap [px]."""
 UNKNOWN = 0.5
 """Least p(uncertain) of what is called unknown."""
 
@@ -83,11 +89,23 @@ def _mind_what_was_seen(
         label[below & ~hit & (label > 0)] = EMPTY
         unseen = below & np.isnan(behind)
         label[unseen] = NOTHING
-        slack = floor - min(item.floor for item in observation.objects)
+        lowest = min(item.floor for item in observation.objects)
         for item in observation.objects:
-            support |= (label == item.label) & (points[:, 2] < item.floor + slack)
+            support |= (label == item.label) & (points[:, 2] < item.floor + floor - lowest)
+        # Where no ray went, the lowest millimetres are the support's, or a hidden foot's.
+        sunk = points[:, 2] < _floor_seen(observation, seen) + (floor - lowest) + FOOT
+        support |= (label == EMPTY) & hit & sunk
+        label[(label == EMPTY) & np.isnan(behind) & (points[:, 2] < floor + FOOT)] = NOTHING
+    blind = (sight.pixel >= 0) & np.isnan(behind) & (label == EMPTY)
+    if blind.any():
+        # A gap in the depth image is known to be free no further than the nearest thing around it.
+        nearest = _nearest(observation, np.isfinite(observation.depth), GAP)
+        label[blind & (sight.depth > nearest[sight.pixel] - TOUCHING)] = NOTHING
     empty = label == EMPTY
     support |= empty & hit & (seen == SUPPORT)
+    beside = empty & _at_obstacle(observation, sight)
+    label[beside] = OTHER
+    empty &= ~beside
     wall = empty & hit & (seen > 0) & (behind < SURE_WALL)
     label[wall] = seen[wall]
     obstacle = empty & hit & (seen == OTHER)
@@ -97,6 +115,34 @@ def _mind_what_was_seen(
     label[support] = SUPPORT
     unknown = label == NOTHING
     answer.uncertainty[unknown] = np.maximum(answer.uncertainty[unknown], UNKNOWN)
+    near |= beside
     answer.occupancy[wall | near] = np.maximum(answer.occupancy[wall | near], 0.5)
     answer.occupancy[support] = 0
     answer.gradient[support] = 0
+
+
+def _floor_seen(observation: Observation, seen: np.ndarray) -> np.ndarray:
+    """Height (N,) [m] of the support under what each point's pixel sees; the lowest one where it is none."""
+    lowest = min(item.floor for item in observation.objects)
+    height = np.full(len(seen), lowest, np.float32)
+    for item in observation.objects:
+        if item.floor > lowest:
+            height[seen == item.label] = item.floor
+    return height
+
+
+def _at_obstacle(observation: Observation, sight: Sight) -> np.ndarray:
+    """Which points (N,) lie at the depth of an obstacle that one of the pixels around theirs sees: rims are
+    known to a pixel, and the pixel at a rim is often without depth."""
+    assert observation.seen is not None
+    obstacle = np.asarray(observation.seen == OTHER)
+    gap = sight.depth - _nearest(observation, obstacle, 1)[sight.pixel]
+    return (sight.pixel >= 0) & (gap > -TOUCHING) & (gap < PIXEL_DEPTH)
+
+
+def _nearest(observation: Observation, of: np.ndarray, reach: int) -> np.ndarray:
+    """(H W,) the least depth [m] measured at pixels of a mask (H, W) within `reach` [px] of each pixel."""
+    import cv2
+
+    depth = np.where(of & np.isfinite(observation.depth), observation.depth, np.float32(np.inf))
+    return cv2.erode(depth, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)).reshape(-1)

@@ -21,7 +21,7 @@ OFFSETS = (-0.003, 0.002, 0.009)
 """Samples before, right behind and further behind an obstacle's surface [m]."""
 DOUBTS = (0.0, 0.0, 0.4)
 """The chance that each of them is something else."""
-REACH = 0.10
+REACH = 0.15
 """An obstacle's hidden part may reach this far from what is seen of it [m]."""
 IN_SHELL = 0.9
 """Chance that hidden space right behind an obstacle's surface is its own."""

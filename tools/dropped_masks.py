@@ -1,0 +1,170 @@
+"""What a map says of a thing whose mask is missing: one label dropped at a time, its inside asked for.
+
+`python -m tools.dropped_masks --scenes SCENES --real ../shared/data/real_rgbd --json dropped.json` prints,
+over all drops, the share of the dropped objects' insides that is called free with p(uncertain) < 0.3, and the
+share of measured points that are called free.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import tyro
+
+from mapping.errors import ConfigError, FrameError
+from perception.camera import invert_rigid, transform
+from perception.frame import Frame
+from tools.exit_code import exit_code
+
+if TYPE_CHECKING:
+    from reconstruction.solid import Solid
+
+LEAST_PIXELS = 200
+"""Labels that cover fewer pixels are not dropped."""
+INSIDE_POINTS = 2000
+"""Points asked for within each dropped object."""
+SURE = 0.3
+"""What is called empty with less p(uncertain) than this is called free."""
+MEASURED_STEP = 7
+"""One of so many measured pixels is asked for."""
+REACH = 0.16
+"""Measured points within this distance of the labelled objects are asked for [m]."""
+
+
+@dataclass(frozen=True)
+class Drop:
+    """One frame and one of its labels; solid: the inside of what it names [world frame], as far as known."""
+
+    name: str
+    frame: Frame
+    label: int
+    solid: Solid
+
+
+def main(
+    scenes: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    real: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    ycb: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    limit: int = 1000,
+    json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+) -> None:
+    """Drop one mask at a time and count what is called free.
+
+    Args:
+        scenes: Scenes with truth, as `contramap scenes` makes them.
+        real: Published real frames; the inside of an object is that of its own mesh from the whole frame.
+        ycb: Folder of YCB scans, for scenes made of them.
+        limit: Frames looked at, at most.
+        json: Also write the figures to this file.
+    """
+    from tqdm import tqdm
+
+    from tools.options import write_json
+
+    if scenes is None and real is None:
+        raise ConfigError("give --scenes DIR, --real DIR, or both")
+    rows = []
+    drops = [*(_simulated(scenes, ycb, limit) if scenes else ()), *(_real(real, limit) if real else ())]
+    for drop in tqdm(drops, desc="dropped masks"):
+        row = judge(drop)
+        if row is not None:
+            rows.append(row)
+    inside = np.array([row["inside_free"] for row in rows])
+    measured = np.array([row["measured_free"] for row in rows])
+    figures = {
+        "drops": len(rows),
+        "inside_free": {"mean": float(inside.mean()), "largest": float(inside.max())},
+        "measured_free": {"mean": float(measured.mean()), "largest": float(measured.max())},
+        "inside_other": float(np.mean([row["inside_other"] for row in rows])),
+        "rows": rows,
+    }
+    for row in sorted(rows, key=lambda row: -row["inside_free"])[:10]:
+        print(
+            f"{row['frame']:32.32} {row['label']:>4}  inside free {row['inside_free']:.2%}  "
+            f"measured free {row['measured_free']:.3%}"
+        )
+    print(
+        f"{len(rows)} drops: inside called free {inside.mean():.2%} on average, {inside.max():.2%} at most; "
+        f"measured points called free {measured.mean():.3%}, {measured.max():.3%} at most"
+    )
+    write_json(figures, json)
+
+
+def judge(drop: Drop) -> dict[str, Any] | None:
+    """Shares of the dropped object's inside, and of measured points, that are called free; None where no
+    object is left to map."""
+    from reconstruction.config import TABLETOP
+    from reconstruction.fitted_scene import FittedScene
+    from reconstruction.query import ask
+
+    frame = drop.frame
+    assert frame.labels is not None
+    labels = np.where(frame.labels == drop.label, 0, frame.labels).astype(np.uint16)
+    if not labels.any():
+        return None
+    scene = FittedScene.of(replace(frame, labels=labels), TABLETOP)
+    try:
+        observation = scene.observation
+    except FrameError:
+        return None
+    T_table_world = observation.T_table_camera @ invert_rigid(frame.camera.T_world_camera)
+    low, high = drop.solid.mesh.bounds
+    points = np.random.default_rng(drop.label).uniform(low, high, (20 * INSIDE_POINTS, 3))
+    inside = transform(T_table_world, points[drop.solid.inside(points)][:INSIDE_POINTS]).astype(np.float32)
+    measured = frame.camera.back_project(frame.depth)[np.isfinite(frame.depth)][::MEASURED_STEP]
+    measured = transform(observation.T_table_camera, measured)
+    measured = measured[observation.near_objects(measured, REACH)]
+    if len(inside) == 0:
+        return None
+    found = [ask(scene.map, observation, scene.space, scene.floor, part) for part in (inside, measured)]
+    free = [float((answer.free & (answer.uncertainty < SURE)).mean()) for answer in found]
+    return {
+        "frame": drop.name,
+        "label": drop.label,
+        "inside_free": free[0],
+        "inside_other": float((found[0].label == -2).mean()),
+        "measured_free": free[1],
+    }
+
+
+def _simulated(scenes: Path, ycb: Path | None, limit: int) -> Iterator[Drop]:
+    from perception import load_frame
+    from reconstruction.solid import Solid
+    from sim_scenes.truth import load_truth
+
+    for folder in sorted(path.parent for path in scenes.glob("*/truth.json"))[:limit]:
+        truth = load_truth(folder, ycb)
+        frame = load_frame(truth.views[0])
+        for label in _large(frame):
+            if label in truth.meshes:
+                yield Drop(folder.name, frame, label, Solid(truth.meshes[label]))
+
+
+def _real(data: Path, limit: int) -> Iterator[Drop]:
+    from reconstruction import reconstruct
+    from reconstruction.solid import Solid
+    from tools.real_frames import load_real_frames
+
+    for real in load_real_frames(data)[:limit]:
+        if real.frame.labels is None or len(_large(real.frame)) < 2:
+            continue
+        whole = {item.label: item for item in reconstruct(real.frame).objects}
+        for label in _large(real.frame):
+            if label in whole:
+                yield Drop(real.name, real.frame, label, Solid(whole[label].mesh))
+
+
+def _large(frame: Frame) -> list[int]:
+    """Labels of enough pixels to be dropped."""
+    assert frame.labels is not None
+    count = np.bincount(frame.labels.reshape(-1))
+    return [int(label) for label in np.flatnonzero(count >= LEAST_PIXELS) if label > 0]
+
+
+if __name__ == "__main__":
+    sys.exit(exit_code("dropped_masks", lambda: tyro.cli(main)))
