@@ -7,6 +7,7 @@ the cores that costs tens of times what they win.
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable, Iterable
 from itertools import pairwise
@@ -20,6 +21,27 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
+_of_parent: int | None = None
+"""In a process made by fork: how many threads torch had in the one it was made from."""
+
+
+def _after_fork() -> None:
+    # OpenMP's threads do not survive a fork, and the first work given to them would wait for ever: torch
+    # itself works on one core from here on. Threads of our own are started anew, so results stay the same.
+    global _of_parent
+    _of_parent = thread_count()
+    torch.set_num_threads(1)
+
+
+def thread_count() -> int:
+    """How many threads share the work: as many as torch has, or had before this process was forked."""
+    return torch.get_num_threads() if _of_parent is None else _of_parent
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
+
+
 class Threads:
     """As many threads as torch may use, each on one core; torch itself uses one while this is open.
 
@@ -28,7 +50,8 @@ class Threads:
 
     def __init__(self, device: torch.device | None = None) -> None:
         on_cpu = device is None or device.type == "cpu"
-        self.count = torch.get_num_threads() if on_cpu else 1
+        self.count = thread_count() if on_cpu else 1
+        self._before = torch.get_num_threads()
         self._work: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._workers: list[threading.Thread] = []
 
@@ -47,7 +70,7 @@ class Threads:
         for worker in self._workers:
             worker.join()
         if self._workers:
-            torch.set_num_threads(self.count)
+            torch.set_num_threads(self._before)
         self._workers.clear()
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:

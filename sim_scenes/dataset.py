@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +11,7 @@ import numpy as np
 
 from mapping.errors import ConfigError, DataError
 from mapping.files import write_atomically
+from mapping.folders import staged_folder
 from perception.camera import Camera
 from perception.frame import Frame
 from perception.frame_io import save_frame
@@ -110,16 +109,12 @@ def write_scene(
     """
     surroundings = Surroundings.random(config.table_size_m, rng)
     renderer = Renderer(placed, surroundings)
-    temporary = folder.with_name(f"{folder.name}.{os.getpid()}.tmp")
     views = [".", *(f"views/{view}" for view in range(1, len(cameras)))]
-    try:
+    with staged_folder(folder, last=TRUTH_FILE) as partial:
         for camera, view in zip(cameras, views):
             frame = _frame(renderer, camera, placed, rng, settings)
-            save_frame(frame, temporary / view, depth_scale)
-        _write_truth(temporary, placed, source, settings, views)
-        temporary.rename(folder)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+            save_frame(frame, partial / view, depth_scale)
+        _write_truth(partial, placed, source, settings, views)
 
 
 def _frame(

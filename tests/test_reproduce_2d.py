@@ -24,10 +24,11 @@ from tools.reproduce.hinges import HingesConfig, run_hinges
 from tools.reproduce.landscape import LANDSCAPES, PAPER_LOGS, Landscape, load_log, split_log
 from tools.reproduce.occupancy import run_occupancy
 from tools.reproduce.occupancy_methods import METHODS, OccupancyConfig
-from tools.reproduce.runs import cached_run, markdown_table, seconds, timed
+from tools.reproduce.runs import markdown_table, seconds, timed
 from tools.reproduce.toy import run_toy
 from tools.reproduce.toy_methods import METHODS as TOY_METHODS
 from tools.reproduce.toy_methods import ToyStudyConfig
+from tools.runs.kept import cached_run
 
 RADISH = Path(__file__).parents[1] / ".." / "shared" / "data" / "radish"
 TINY_TOY = ToyStudyConfig(
@@ -194,10 +195,12 @@ def test_bad_names_and_missing_data_are_one_clear_error(tmp_path):
         run_occupancy(tmp_path, tmp_path / "out", ("intel",))
 
 
-def test_cached_run_refuses_a_broken_file(tmp_path):
-    (tmp_path / "run.json").write_text("{")
-    with pytest.raises(DataError, match="delete it"):
-        cached_run(tmp_path / "run.json", {}, dict)
+@pytest.mark.parametrize("content", ["{", "[]", '{"settings": {}}', "[" * 100_000])
+def test_a_broken_run_is_computed_again(tmp_path, content):
+    (tmp_path / "run.json").write_text(content)
+    assert cached_run(tmp_path / "run.json", {}, lambda: {"a": 1}) == {"a": 1}
+    assert cached_run(tmp_path / "run.json", {}, dict) == {"a": 1}
+    assert cached_run(tmp_path / "run.json", {"b": 2}, dict) == {}
 
 
 def test_share_occupied_ignores_the_uncertain_class():

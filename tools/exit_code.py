@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable
 
 from mapping.errors import ContraMapError
+from tools.runs.signals import Stopped, stopped_by_signals
 
 EXTRAS = {
     "pooch": "sim",
@@ -24,14 +25,18 @@ EXTRAS = {
 
 
 def exit_code(name: str, run: Callable[[], object]) -> int:
-    """Run a command: 0, 2 after bad input, a missing file or package or too little memory, 130 when
-    interrupted."""
+    """Run a command: 0, 2 after bad input, a missing file or package or too little memory; 1 when some
+    of many runs failed, 130 when interrupted, 128 + n when ended by signal n."""
     _print_whatever_the_console_takes()
     try:
-        run()
+        with stopped_by_signals():
+            run()
+    except Stopped as signal:
+        print(f"{name}: {signal}", file=sys.stderr)
+        return 128 + signal.number
     except ContraMapError as error:
         print(f"{name}: error: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+        return getattr(error, "exit_code", 2)
     except (ImportError, OSError) as error:
         if isinstance(error, BrokenPipeError):
             # The reader of our output (head, less) has gone; nothing is wrong.

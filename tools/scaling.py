@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import resource
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Any
 
 import numpy as np
 import tyro
+
+from tools.runs.workers import CRASHED, run_in_workers
 
 SAMPLES = 20_000
 """Training samples of every measurement."""
@@ -74,7 +75,6 @@ def scaling(
     from tqdm import tqdm
 
     from mapping.errors import ConfigError
-    from tools.evaluation.engine import process_environment, worker_environment
     from tools.options import write_json
 
     if unknown := set(methods) - {"contramap", "vprism"}:
@@ -84,9 +84,8 @@ def scaling(
         "objects": [Point(m, FIXED_HINGES, k, threads) for m in methods for k in objects],
     }
     figures: dict[str, Any] = {"threads": threads, "samples": SAMPLES, "queries": QUERIES}
-    with process_environment(worker_environment(threads)):
-        for sweep, points in sweeps.items():
-            figures[sweep] = [_measured(point, seed, repeat) for point in tqdm(points, desc=sweep)]
+    for sweep, points in sweeps.items():
+        figures[sweep] = [_measured(point, seed, repeat) for point in tqdm(points, desc=sweep)]
     write_json(figures, out / "scaling.json")
     write_json(figures, json)
     draw(figures, out / "scaling.png")
@@ -154,11 +153,12 @@ def _measured(point: Point, seed: int, repeat: int) -> dict[str, Any]:
     if point.needed_bytes > 0.8 * free:
         wanted = f"needs {point.needed_bytes / 1e9:.0f} GB, {free / 1e9:.0f} GB are free"
         return {**row, "skipped": wanted}
-    context = multiprocessing.get_context("spawn")
-    runs = []
-    for _ in range(repeat):
-        with ProcessPoolExecutor(1, mp_context=context) as pool:
-            runs.append(pool.submit(measure, point, seed).result())
+    runs: list[dict[str, Any]] = []
+    for _ in range(repeat):  # a fresh process each, so that memory is that of one run
+        (done,) = run_in_workers(partial(measure, seed=seed), [point], 1, point.threads)
+        if done.result is None:
+            return {**row, "skipped": str(done.error or CRASHED)}
+        runs.append(done.result)
     return {
         **row,
         **{key: float(np.median([run[key] for run in runs])) for key in runs[0] if key != "hinges"},

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from mapping.threads import thread_count
 from reconstruction.result import ReconstructedObject, Reconstruction
 
 FORMAT = "contramap-result-1"
@@ -60,6 +61,7 @@ def describe(reconstruction: Reconstruction, closed: Mapping[int, bool] | None =
             "notes": [*reconstruction.notes, *reconstruction.contradictions],
             "timings_ms": reconstruction.timings_ms,
             "seed": reconstruction.seed,
+            "threads": thread_count(),
             "config": reconstruction.config,
             "versions": _versions(),
         }

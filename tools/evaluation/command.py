@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -69,7 +69,12 @@ def find_scenes(scenes: Path, limit: int | None) -> list[Path]:
 
     if (scenes / TRUTH_FILE).is_file():
         return [scenes]
-    found = sorted(path.parent for path in scenes.glob(f"*/{TRUTH_FILE}"))[:limit]
+    # What a killed `contramap scenes` left is no scene; older versions named it scene_0000.<process>.tmp.
+    found = sorted(
+        path.parent
+        for path in scenes.glob(f"*/{TRUTH_FILE}")
+        if not path.parent.name.startswith(".") and path.parent.suffix != ".tmp"
+    )[:limit]
     if not found:
         raise DataError(
             f"{scenes}: no scene (folder with {TRUTH_FILE}); `contramap scenes {scenes}` makes some"
@@ -82,18 +87,13 @@ def check_same_scenes(jobs: list[Job]) -> None:
     from mapping.errors import ConfigError
 
     for job in jobs:
-        for path in map(job.result_file, job.runs):
-            if path.is_file() and read_json(path).get("fingerprint") != job.fingerprint:
+        for run in job.runs:
+            kept = job.kept(run)
+            if kept is not None and kept["fingerprint"] != job.fingerprint:
                 raise ConfigError(
-                    f"{path} was measured on another scene called {job.scene.name}; choose another --out"
+                    f"{job.result_file(run)} was measured on another scene called {job.scene.name}; "
+                    "choose another --out"
                 )
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """A result file; DataError when it is broken."""
-    from tools.evaluation.summary import read_results
-
-    return read_results([path])[0]
 
 
 def run_jobs(jobs: list[Job], engine: str, workers: int, ray_address: str | None) -> list[dict[str, str]]:
@@ -129,14 +129,15 @@ def finish(jobs: list[Job], failures: list[dict[str, str]], gallery: int, json_f
     from tools.evaluation.figures import write_figures
     from tools.evaluation.job import Run
     from tools.evaluation.report import write_report
-    from tools.evaluation.summary import json_lines, read_results, summarise
+    from tools.evaluation.summary import json_lines, summarise
     from tools.evaluation.table import all_tables
     from tools.options import write_json
+    from tools.runs.failures import RunsFailed
 
     out = jobs[0].out
     runs = [Run(seed, name) for name in jobs[0].methods for seed in jobs[0].seeds]
-    files = [job.result_file(run) for run in runs for job in jobs]
-    results = read_results([path for path in files if path.is_file()])
+    kept = [job.kept(run) for run in runs for job in jobs]
+    results = [result for result in kept if result is not None]
     if not results:
         reason = failures[0]["error"] if failures else "no job ran"
         raise DataError(f"{out}: nothing could be measured; first failure: {reason}")
@@ -151,6 +152,11 @@ def finish(jobs: list[Job], failures: list[dict[str, str]], gallery: int, json_f
     write_report(summary, figures, picture, out / "report.html")
     print("\n\n".join(tables[:3]))
     print(f"\n{out / 'report.html'}")
+    if failures:
+        raise RunsFailed(
+            f"{len(failures)} of {len(kept)} runs failed (first: {failures[0]['error']}); tables are of the "
+            f"others, {out / 'summary.json'} lists the failures, the same command tries them again"
+        )
 
 
 def make_gallery(jobs: list[Job], count: int) -> Path | None:
@@ -158,30 +164,32 @@ def make_gallery(jobs: list[Job], count: int) -> Path | None:
 
     Kept when it is newer than the results.
     """
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor
-
     from tqdm import tqdm
 
-    from tools.evaluation.engine import process_environment, worker_environment
-    from tools.evaluation.gallery import gallery_pictures, write_gallery
+    from tools.evaluation.gallery import pictures_of, write_gallery
     from tools.evaluation.job import Run
+    from tools.runs.workers import run_in_workers
 
     wanted = tuple(name for name in ("contramap", "vprism") if name in jobs[0].methods)
     names = wanted or jobs[0].methods[:1]
     path = jobs[0].out / "figures" / "gallery.png"
     needed = [Run(jobs[0].seeds[0], name) for name in names]
-    shown = [job for job in jobs if all(job.result_file(run).is_file() for run in needed)][:count]
+    shown = [job for job in jobs if all(job.kept(run) is not None for run in needed)][:count]
     if not shown:
         return None
     newest = max(job.result_file(run).stat().st_mtime for job in shown for run in needed)
     if path.is_file() and path.stat().st_mtime > newest:
         return path
     # In a worker like those that measured: same threads, and a crash leaves the tables standing.
-    environment = process_environment(worker_environment(jobs[0].threads))
-    context = multiprocessing.get_context("spawn")
-    with environment, ProcessPoolExecutor(1, mp_context=context) as pool:
-        futures = [pool.submit(gallery_pictures, job.scene, names, job.ycb_dir) for job in shown]
-        rows = {job.scene.name: f.result() for job, f in zip(shown, tqdm(futures, desc="gallery"))}
+    wanted_of = {job.scene: (job.scene, names, job.ycb_dir) for job in shown}
+    pictures = run_in_workers(pictures_of, wanted_of.values(), 1, jobs[0].threads)
+    rows = {}
+    for done in tqdm(pictures, total=len(shown), desc="gallery"):
+        if done.result is None:
+            print(f"no pictures of {done.task[0].name}: {done.error or 'the worker process died'}")
+        else:
+            rows[done.task[0].name] = done.result
+    if not rows:
+        return None
     write_gallery(rows, path)
     return path

@@ -6,65 +6,39 @@ Every job seeds itself and fixes its thread count, so neither the engine nor the
 from __future__ import annotations
 
 import logging
-import multiprocessing
-import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from mapping.errors import ConfigError
 from tools.evaluation.job import Job, run_job
-
-CRASHED = "the worker process died (out of memory, or a crash in a library)"
+from tools.runs.workers import CRASHED, run_in_workers, worker_environment
 
 Failures = list[dict[str, str]]
 Finished = Callable[[Job, Failures], None]
 """Called with each job when it is over and what failed in it."""
 
 
-def worker_environment(threads: int) -> dict[str, str]:
-    """Thread counts that numerical libraries read when they are first imported."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    return {**dict.fromkeys(names, str(threads)), "OMP_WAIT_POLICY": "PASSIVE"}
-
-
 def run_local(jobs: Sequence[Job], workers: int, finished: Finished) -> None:
-    """Run jobs in `workers` processes of their own, so that a crash costs one job and not the evaluation."""
+    """Run jobs in `workers` processes of their own, so that a crash costs one run and not the evaluation."""
     waiting = list(jobs)
-    with process_environment(worker_environment(jobs[0].threads if jobs else 1)):
-        while waiting:
-            waiting = _pool(waiting, workers, finished)
+    threads = jobs[0].threads if jobs else 1
+    while waiting:
+        again: list[Job] = []
+        for done in run_in_workers(run_job, waiting, workers, threads):
+            if not done.died:
+                failures = done.result if done.error is None else _all_failed(done.task, done.error)
+                finished(done.task, failures or [])
+                continue
+            # Results are kept run by run: the first that is missing is the one the worker died of.
+            crashed = done.task.missing()[:1]
+            rest = replace(done.task, given_up=done.task.given_up | set(crashed))
+            finished(done.task, [done.task.failure(run, CRASHED) for run in crashed])
+            again += [rest] if rest.missing() else []
+        waiting = again
 
 
-def _pool(jobs: list[Job], workers: int, finished: Finished) -> list[Job]:
-    """Run jobs until a worker dies or all are done; returns the jobs still to do."""
-    context = multiprocessing.get_context("spawn")
-    left = list(jobs)
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        running: dict[Future[Failures], Job] = {}
-        try:
-            # One job a worker at a time, so that a dead worker is blamed on the jobs that really ran.
-            while left or running:
-                while left and len(running) < workers:
-                    job = left.pop(0)
-                    running[pool.submit(run_job, job)] = job
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    job = running[future]
-                    failures = future.result()
-                    del running[future]
-                    finished(job, failures)
-        except BrokenProcessPool:
-            for job in running.values():
-                crashed = job.missing()[:1]
-                finished(job, [job.failure(run, CRASHED) for run in crashed])
-                rest = replace(job, given_up=job.given_up | set(crashed))
-                left.extend([rest] if rest.missing() else [])
-        except KeyboardInterrupt:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-    return left
+def _all_failed(job: Job, error: Exception) -> Failures:
+    return [job.failure(run, f"{type(error).__name__}: {error}") for run in job.missing()]
 
 
 def run_ray(jobs: Sequence[Job], workers: int, finished: Finished, address: str | None = None) -> None:
@@ -90,24 +64,15 @@ def run_ray(jobs: Sequence[Job], workers: int, finished: Finished, address: str 
             job = running.pop(reference)
             try:
                 failures = ray.get(reference)
+            except ray.exceptions.WorkerCrashedError:
+                crashed = job.missing()[:1]
+                failures = [job.failure(run, CRASHED) for run in crashed]
+                rest = replace(job, given_up=job.given_up | set(crashed))
+                if rest.missing():
+                    running[remote.remote(rest)] = rest
             except ray.exceptions.RayError as error:
                 failures = [job.failure(run, f"{error}".splitlines()[0] or CRASHED) for run in job.missing()]
             finished(job, failures)
     finally:
         if started:
             ray.shutdown()
-
-
-@contextmanager
-def process_environment(values: dict[str, str]) -> Iterator[None]:
-    """Environment variables for the processes started inside."""
-    before = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name)
-            else:
-                os.environ[name] = value

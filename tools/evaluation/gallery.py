@@ -37,6 +37,11 @@ def gallery_pictures(scene: Path, names: tuple[str, ...], ycb_dir: Path | None) 
     return pictures
 
 
+def pictures_of(task: tuple[Path, tuple[str, ...], Path | None]) -> dict[str, np.ndarray]:
+    """gallery_pictures of a task: scene, names of methods, folder of scans."""
+    return gallery_pictures(*task)
+
+
 def write_gallery(rows: dict[str, dict[str, np.ndarray]], path: Path) -> None:
     """One picture with a row a scene and a column a kind of picture."""
     import matplotlib

@@ -13,15 +13,20 @@ from zlib import crc32
 
 import numpy as np
 
-from mapping.errors import ContraMapError
+from mapping.errors import ContraMapError, DataError
 from mapping.files import temporary_beside, write_atomically
+from mapping.guarded_files import read_npy
 from sim_scenes.truth import TRUTH_FILE
 from tools.evaluation.answers import Answers, ask
 from tools.evaluation.case import Case, load_case
 from tools.evaluation.methods import method
 from tools.evaluation.protocol import coarse_protocol, fine_protocol
 from tools.evaluation.uncertainty_card import ranking_scores, uncertainty_card
+from tools.runs.kept import read_kept
 
+RESULT_FORMAT = 2
+"""Raised when results hold something else than before: older ones are measured again."""
+RESULT_KEYS = ("scene", "method", "seed", "fingerprint", "object_count", "objects", "card", "nulls", "curves")
 NULL_METHOD = "vprism"
 """The method whose entropy is a null for every other method's uncertainty."""
 
@@ -70,7 +75,14 @@ class Job:
 
     def missing(self) -> list[Run]:
         """Runs without a result yet."""
-        return [run for run in self.runs if run not in self.given_up and not self.result_file(run).is_file()]
+        return [run for run in self.runs if run not in self.given_up and self.kept(run) is None]
+
+    def kept(self, run: Run) -> dict[str, Any] | None:
+        """The result of a run; None when there is none, or it is broken, of another version, or lacks what
+        other runs need of it."""
+        if run.method == NULL_METHOD and not _is_array(self.null_file(run.seed)):
+            return None
+        return read_kept(self.result_file(run), RESULT_KEYS, format=RESULT_FORMAT)
 
     def failure(self, run: Run, error: str) -> dict[str, str]:
         """What went wrong with a run, for the report."""
@@ -120,6 +132,7 @@ def judge(answers: Answers, case: Case, run: Run, job: Job) -> dict[str, Any]:
     pixels = np.bincount(case.frame.labels.ravel(), minlength=max(case.judged) + 1)  # type: ignore[union-attr]
     return _plain(
         {
+            "format": RESULT_FORMAT,
             "scene": case.name,
             "method": run.method,
             "seed": run.seed,
@@ -153,9 +166,17 @@ def _nulls(answers: Answers, case: Case, run: Run, job: Job) -> dict[str, dict[s
     if run.method == NULL_METHOD:
         with temporary_beside(null_file) as partial, open(partial, "wb") as file:
             np.save(file, answers.uncertainty.astype(np.float32))
-    elif null_file.is_file():
-        nulls[NULL_METHOD] = ranking_scores(np.load(null_file), wrong, voxels)
+    elif _is_array(null_file):
+        nulls[NULL_METHOD] = ranking_scores(read_npy(null_file), wrong, voxels)
     return nulls
+
+
+def _is_array(path: Path) -> bool:
+    """Whether a file holds a whole array: one that was cut is made again."""
+    try:
+        return path.is_file() and read_npy(path).ndim == 1
+    except DataError:
+        return False
 
 
 def _plain(value: Any) -> Any:

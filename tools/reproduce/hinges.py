@@ -18,7 +18,6 @@ from tools.reproduce.occupancy import KEYS, measure
 from tools.reproduce.occupancy_methods import OccupancyConfig, with_noise
 from tools.reproduce.runs import (
     Stopwatch,
-    cached_run,
     check_choices,
     markdown_table,
     save_figure,
@@ -26,6 +25,7 @@ from tools.reproduce.runs import (
     summarise,
     timed,
 )
+from tools.runs.kept import cached_run
 
 TITLES = {
     "contramap_0": "ContraMap, no hidden layer",

@@ -15,7 +15,8 @@ from tools.occupancy.fit import OCCUPIED
 from tools.options import write_json
 from tools.reproduce.landscape import LANDSCAPES, Landscape, Split, load_log, split_log
 from tools.reproduce.occupancy_methods import METHODS, TITLES, OccupancyConfig, OccupancyMap, fit_method
-from tools.reproduce.runs import cached_run, check_choices, markdown_table, seconds, summarise, timed
+from tools.reproduce.runs import check_choices, markdown_table, seconds, summarise, timed
+from tools.runs.kept import cached_run
 
 KEYS = ("auc", "train_s", "infer_s", "train_cpu_s", "infer_cpu_s")
 """Figures of a run. Processor seconds compare methods fairly on a machine that others use too."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -10,33 +9,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from mapping.errors import ConfigError, DataError
+from mapping.errors import ConfigError
 from mapping.files import temporary_beside
-from tools.options import write_json
 
 T = TypeVar("T")
 
 LARGE_FIGURE = 200_000
 """A figure above this size [bytes] is written with a palette."""
-
-
-def cached_run(
-    path: Path, settings: dict[str, Any], compute: Callable[[], dict[str, Any]], overwrite: bool = False
-) -> dict[str, Any]:
-    """The JSON result at `path` when it was computed with these settings; else compute it and write it there.
-
-    So a command that was cut off goes on where it stopped, and changed settings never mix with old runs.
-    """
-    if path.is_file() and not overwrite:
-        try:
-            stored = json.loads(path.read_text())
-        except json.JSONDecodeError as error:
-            raise DataError(f"{path}: not JSON ({error}); delete it to compute this run again") from error
-        if stored.get("settings") == json.loads(json.dumps(settings)):
-            return stored["result"]
-    result = compute()
-    write_json({"settings": settings, "result": result}, path)
-    return result
 
 
 class Stopwatch:

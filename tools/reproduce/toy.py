@@ -13,8 +13,9 @@ from mapping.files import temporary_beside
 from sim_scenes.toy2d import TOY_SETS, ToySet, make_toy_set
 from tools.evaluation.statistics import auroc, spearman
 from tools.options import write_json
-from tools.reproduce.runs import Stopwatch, cached_run, check_choices, markdown_table, summarise
+from tools.reproduce.runs import Stopwatch, check_choices, markdown_table, summarise
 from tools.reproduce.toy_methods import METHODS, TITLES, ToyStudyConfig, make_method
+from tools.runs.kept import cached_run
 
 KEYS = (
     "spearman_gp",

@@ -1,0 +1,204 @@
+"""Workers, signals, kept results and forks: what long commands share."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mapping.errors import DataError
+from sim_scenes.truth import TRUTH_FILE
+from tools.evaluation.command import check_same_scenes, find_scenes
+from tools.evaluation.job import NULL_METHOD, RESULT_FORMAT, RESULT_KEYS, Job, Run
+from tools.exit_code import exit_code
+from tools.runs.failures import RunsFailed
+from tools.runs.kept import read_kept
+from tools.runs.signals import Stopped
+from tools.runs.workers import run_in_workers
+
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, str(Path(__file__).parent)])}
+
+
+def square_or_die(number: int) -> int:
+    """Dies of a negative number, fails at 100, waits at 7 and above."""
+    if number < 0:
+        os._exit(9)
+    if number == 100:
+        raise ValueError("too large")
+    time.sleep(0.3 if number >= 7 else 0)
+    return number**2
+
+
+def sleep_long(seconds: float) -> None:
+    print(os.getpid(), flush=True)
+    time.sleep(seconds)
+
+
+def alive(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().split(") ")[1][0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def until(condition, seconds: float = 30) -> bool:
+    end = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.05)
+    return condition()
+
+
+def test_a_dead_worker_costs_the_task_it_had_and_no_other() -> None:
+    tasks = [1, 7, -1, 2, 100, 8, -2, 3]
+    found = {done.task: done for done in run_in_workers(square_or_die, tasks, 2)}
+    assert set(found) == set(tasks)
+    assert [number for number, done in found.items() if done.died] == [-1, -2]
+    assert str(found[100].error) == "too large"
+    assert {number: found[number].result for number in (1, 7, 2, 8, 3)} == {1: 1, 7: 49, 2: 4, 8: 64, 3: 9}
+
+
+def test_workers_end_with_the_iterator() -> None:
+    import multiprocessing
+
+    iterator = run_in_workers(square_or_die, [1, 2, 7, 7, 7, 7], 2)
+    next(iterator)
+    iterator.close()
+    assert multiprocessing.active_children() == []
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks processes up in /proc")
+@pytest.mark.parametrize(("number", "code"), [("SIGKILL", -9), ("SIGTERM", 143), ("SIGHUP", 129)])
+def test_no_worker_outlives_a_command_that_is_killed(tmp_path: Path, number: str, code: int) -> None:
+    program = tmp_path / "program.py"
+    program.write_text(
+        "import sys\nfrom test_runs import sleep_long\nfrom tools.exit_code import exit_code\n"
+        "from tools.runs.workers import run_in_workers\n"
+        "if __name__ == '__main__':\n"
+        "    sys.exit(exit_code('x', lambda: list(run_in_workers(sleep_long, [99.0, 99.0], 2))))\n"
+    )
+    command = subprocess.Popen(
+        [sys.executable, str(program)],
+        env=ENVIRONMENT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert command.stdout is not None
+    workers = [int(command.stdout.readline()) for _ in range(2)]
+    assert all(alive(worker) for worker in workers)
+    command.send_signal(getattr(signal, number))
+    assert command.wait(30) == code
+    assert until(lambda: not any(alive(worker) for worker in workers))
+    assert command.stderr is not None
+    said = command.stderr.read()
+    assert "Traceback" not in said
+    assert (f"x: ended by {number}" in said) == (number != "SIGKILL")
+
+
+def test_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
+    def run(error: BaseException):
+        def raise_it() -> None:
+            raise error
+
+        return exit_code("x", raise_it)
+
+    assert run(RunsFailed("2 of 4 runs failed")) == 1
+    assert run(DataError("bad")) == 2
+    assert run(Stopped(signal.SIGTERM)) == 143
+    assert capsys.readouterr().err.count("\n") == 3
+
+
+def good_result(**changes: object) -> str:
+    content = dict.fromkeys(RESULT_KEYS, 0) | {"format": RESULT_FORMAT, **changes}
+    return json.dumps(content)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        "{",
+        "[]",
+        "null",
+        '{"scene": 1}',
+        good_result(format=1),
+        "[" * 100_000,
+        '{"a": "' + chr(0xFFFF) + '"}',
+    ],
+)
+def test_results_broken_or_of_another_version_are_measured_again(tmp_path: Path, content: str) -> None:
+    scene = tmp_path / "scenes" / "scene_0000"
+    scene.mkdir(parents=True)
+    (scene / TRUTH_FILE).write_text("{}")
+    job = Job(scene, (0,), ("tsdf",), tmp_path)
+    path = job.result_file(Run(0, "tsdf"))
+    path.parent.mkdir(parents=True)
+    path.write_text(content)
+    assert job.missing() == [Run(0, "tsdf")]
+    check_same_scenes([job])
+    path.write_text(good_result(fingerprint=job.fingerprint))
+    assert job.missing() == []
+
+
+def test_a_cut_entropy_file_is_made_again(tmp_path: Path) -> None:
+    job = Job(tmp_path / "scene_0000", (0,), (NULL_METHOD, "tsdf"), tmp_path)
+    null = job.null_file(0)
+    null.parent.mkdir(parents=True)
+    for run in job.runs:
+        job.result_file(run).write_text(good_result())
+    np.save(null, np.ones(1000, np.float32))
+    assert job.missing() == []
+    null.write_bytes(null.read_bytes()[:300])
+    assert job.missing() == [Run(0, NULL_METHOD)]
+    null.unlink()
+    assert job.missing() == [Run(0, NULL_METHOD)]
+
+
+def test_left_overs_of_a_killed_scenes_command_are_no_scenes(tmp_path: Path) -> None:
+    names = ("scene_0000", "scene_0001.4711.tmp", ".scene_0001.0123456789ab.part")
+    for name in names:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / TRUTH_FILE).write_text("{}")
+    assert [path.name for path in find_scenes(tmp_path, None)] == ["scene_0000"]
+
+
+def test_kept_results_need_their_keys(tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    assert read_kept(path, ()) is None
+    path.write_text('{"a": 1, "b": 2}')
+    assert read_kept(path, ("a",), b=2) == {"a": 1, "b": 2}
+    assert read_kept(path, ("a",), b=3) is None
+    assert read_kept(path, ("c",)) is None
+
+
+FORK = """
+import hashlib, os, sys, torch
+import numpy as np
+from reconstruction import reconstruct
+torch.set_num_threads(2)
+frame = make_tabletop(size=(160, 120)).frame
+def digest():
+    objects = reconstruct(frame).objects
+    return hashlib.sha256(b"".join(np.asarray(o.mesh.vertices).tobytes() for o in objects)).hexdigest()
+print(digest(), flush=True)
+if os.fork() == 0:
+    print(digest(), flush=True)
+    os._exit(0)
+os.wait()
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+def test_a_fork_after_a_reconstruction_gives_the_same_meshes() -> None:
+    answer = subprocess.run(
+        [sys.executable, "-c", FORK], env=ENVIRONMENT, capture_output=True, text=True, timeout=240
+    )
+    first, second = answer.stdout.split()
+    assert first == second

@@ -1,0 +1,45 @@
+"""Signals that ask a command to end: it cleans up, and says so, instead of vanishing."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+NAMES = ("SIGTERM", "SIGHUP")
+
+
+class Stopped(BaseException):
+    """A signal asked this process to end. number: which."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(f"ended by {signal.Signals(number).name}; what is finished is kept")
+        self.number = number
+
+
+@contextmanager
+def stopped_by_signals() -> Iterator[None]:
+    """SIGTERM and SIGHUP raise Stopped inside, once, so that `finally` clauses run.
+
+    Signals that are ignored (nohup) or handled otherwise stay so.
+    """
+    known = [getattr(signal, name) for name in NAMES if hasattr(signal, name)]
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    ours = [number for number in known if signal.getsignal(number) is signal.SIG_DFL]
+
+    def stop(number: int, frame: Any) -> None:
+        for each in ours:
+            signal.signal(each, signal.SIG_IGN)  # a second one must not cut the clean-up short
+        raise Stopped(number)
+
+    for number in ours:
+        signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        for number in ours:
+            signal.signal(number, signal.SIG_DFL)
