@@ -3,6 +3,7 @@ share."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -17,6 +18,7 @@ from reconstruction.export.collision import CollisionConfig, convex_parts
 from reconstruction.export.export_scene import ExportConfig, ExportScene
 from reconstruction.export.formats import FORMATS, export
 from reconstruction.export.parts_error import parts_error
+from reconstruction.files.mesh_files import encode_ply
 from reconstruction.files.result_folder import load_result, save_reconstruction
 from tools.cli import main
 
@@ -101,6 +103,20 @@ def test_command_writes_from_a_result_alone(tabletop_frame, tmp_path, capsys):
     assert "not a result folder" in capsys.readouterr().err
 
 
+def test_obstacles_without_a_label_reach_planners(planned, tmp_path):
+    result = dataclasses.replace(planned.result, scene={**planned.result.scene, "other": {"faces": 12}})
+    box = trimesh.creation.box((0.05, 0.05, 0.3))
+    box.apply_translation([0.2, 0.3, 1.2])
+    place = planned.result.folder / "objects" / "other"
+    place.mkdir(parents=True)
+    (place / "mesh.ply").write_bytes(encode_ply(box, np.ones(len(box.vertices))))
+    export(ExportScene(result), ["obj", "curobo", "moveit"], tmp_path)
+    found = trimesh.load(tmp_path / "obj" / "other.obj", process=False)
+    assert found.bounds == pytest.approx(box.bounds, abs=1e-5)
+    for path in ("curobo/world_mesh.yml", "moveit/planning_scene.yaml"):
+        assert '"other"' in (tmp_path / path).read_text()
+
+
 def test_result_keeps_the_frame(tmp_path):
     from solids import reconstructed_tabletop
 
@@ -173,6 +189,12 @@ def test_parts_come_from_the_cache_the_second_time(tmp_path, monkeypatch):
     kept.write_bytes(b"damaged")
     with pytest.raises(AssertionError, match="cut again"):
         convex_parts([bracket()])
+
+
+def test_splinters_that_engines_refuse_are_left_out():
+    flat = np.array([[0, 0, 0], [0.01, 0, 0], [0, 0.01, 0], [0.01, 0.01, 1e-9]])
+    assert collision._hull(flat) is None
+    assert collision._hull(flat + np.array([[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 1e-3]])) is not None
 
 
 def test_what_takes_too_long_becomes_its_hull_and_says_so(tmp_path, monkeypatch):

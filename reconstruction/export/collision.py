@@ -21,6 +21,9 @@ from mapping.files import cache_dir, write_atomically
 from reconstruction.export.coacd_process import CoacdProcess
 from reconstruction.export.parts_error import parts_error
 
+LEAST_VOLUME = 1e-11
+"""Splinters smaller than this [m^3], a fifth of a millimetre in size, are left out: engines refuse flat
+parts."""
 VERSION = "1"
 """Changes when the same mesh would be cut differently by this code."""
 
@@ -160,7 +163,8 @@ def _hull(points: np.ndarray) -> trimesh.Trimesh | None:
     a, b, c = (corners[faces[:, i]] for i in range(3))
     inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), found.equations[:, :3]) < 0
     faces[inwards] = faces[inwards, ::-1]
-    return trimesh.Trimesh(corners, faces, process=False)
+    hull = trimesh.Trimesh(corners, faces, process=False)
+    return hull if hull.volume > LEAST_VOLUME else None
 
 
 def _cached_path(mesh: trimesh.Trimesh, config: CollisionConfig) -> Path:

@@ -21,8 +21,8 @@ STATEMENT = {
 
 def write(scene: ExportScene, folder: Path) -> None:
     """world_mesh.yml and world_cuboid.yml."""
-    meshes = {item.key: {"pose": _pose(item), **_mesh(item)} for item in scene.objects}
-    boxes = {item.key: _box(item) for item in scene.objects}
+    meshes = {item.key: {"pose": _pose(item), **_mesh(item)} for item in scene.obstacles}
+    boxes = {item.key: _box(item) for item in scene.obstacles}
     (folder / "world_mesh.yml").write_text(_yaml("mesh", meshes), encoding="utf-8")
     (folder / "world_cuboid.yml").write_text(_yaml("cuboid", boxes), encoding="utf-8")
 

@@ -19,7 +19,7 @@ from perception.camera import invert_rigid, transform
 from perception.frame import Frame
 from reconstruction.export.collision import CollisionConfig, ConvexParts, convex_parts
 from reconstruction.files.result_folder import StoredResult
-from reconstruction.files.scene_json import object_folder
+from reconstruction.files.scene_json import OTHER_FOLDER, object_folder
 
 
 @dataclass(frozen=True)
@@ -108,6 +108,19 @@ class ExportScene:
                 ExportObject(key, item.label, item.name, mesh, solid, item.T_world_object, item.extents)
             )
         return tuple(found)
+
+    @cached_property
+    def obstacles(self) -> tuple[ExportObject, ...]:
+        """The objects, and as one more with label 0 and the key `other` what stands near them without a
+        label."""
+        from reconstruction.files.mesh_files import decode_ply
+
+        if self.result.scene.get("other") is None:
+            return self.objects
+        mesh, _ = decode_ply(self.result.folder / OTHER_FOLDER / "mesh.ply")
+        T = self.T_world_table
+        local = moved(mesh, invert_rigid(T))
+        return (*self.objects, ExportObject("other", 0, "other", local, local, T, local.extents))
 
     @cached_property
     def parts(self) -> dict[int, ConvexParts]:

@@ -83,7 +83,8 @@ def _body(
     for index, part in enumerate(scene.parts[item.label].parts):
         name = f"{item.key}_{index:03d}"
         (folder / f"{name}.obj").write_bytes(encode_obj(part))
-        xml.SubElement(assets, "mesh", name=name, file=f"{name}.obj")
+        # Parts have no mass of their own, and thin ones hardly a volume.
+        xml.SubElement(assets, "mesh", name=name, file=f"{name}.obj", inertia="shell")
         xml.SubElement(
             body,
             "geom",

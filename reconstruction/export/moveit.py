@@ -35,7 +35,7 @@ STATEMENT = {
 
 def write(scene: ExportScene, folder: Path) -> None:
     """planning_scene.yaml, and planning_scene/ with an MCAP bag of the same."""
-    objects = [_collision_object(item) for item in scene.objects]
+    objects = [_collision_object(item) for item in scene.obstacles]
     content = {"name": "contramap", "world": {"collision_objects": objects}, "is_diff": True}
     # YAML in flow style is JSON: every YAML reader takes it, and it is written a hundred times faster.
     head = (

@@ -16,7 +16,7 @@ STATEMENT = {
 
 
 def write(scene: ExportScene, folder: Path) -> None:
-    """<key>.obj of each object (inflated, when that was asked for) and poses.json."""
-    for item in scene.objects:
+    """<key>.obj of each object and obstacle (inflated, when that was asked for) and poses.json."""
+    for item in scene.obstacles:
         (folder / f"{item.key}.obj").write_bytes(encode_obj(moved(item.solid, item.T_world_object)))
     write_poses(scene, folder / "poses.json")

@@ -23,7 +23,7 @@ STATEMENT = {
 def write(scene: ExportScene, folder: Path) -> None:
     """field.npz: distance (nx, ny, nz) float32, gradient (nx, ny, nz, 3) float16, unknown (nx, ny, nz) bool,
     spacing, T_world_lattice (4, 4), labels (K,)."""
-    solids = [moved(item.solid, item.T_world_object) for item in scene.objects]
+    solids = [moved(item.solid, item.T_world_object) for item in scene.obstacles]
     field = DistanceField(solids, scene.T_world_table, scene.result.map())
     T = scene.T_world_table.copy()
     T[:3, 3] += T[:3, :3] @ field.origin

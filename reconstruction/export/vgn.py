@@ -31,7 +31,7 @@ def write(scene: ExportScene, folder: Path) -> None:
     """<key>.npz: raw and completed (1, 40, 40, 40) float32, T_world_cube, voxel_size, label."""
     frame = scene.frame
     measured = [(np.nan_to_num(frame.depth), frame.camera)]
-    meshes = [moved(item.mesh, item.T_world_object) for item in scene.objects]
+    meshes = [moved(item.mesh, item.T_world_object) for item in scene.obstacles]
     for item in scene.objects:
         T_world_cube = cube_around(item, scene)
         middle = invert_rigid(scene.T_world_table) @ T_world_cube @ [SIDE / 2, SIDE / 2, FLOOR, 1.0]

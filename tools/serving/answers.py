@@ -80,7 +80,7 @@ class Answers:
             "unit": "m",
             "T_world_table": result.T_world_table,
             "objects": [_object(item) for item in result.objects],
-            "other": None if result.other is None else _object(result.other),
+            "other": None if result.other is None else _surface(result.other),
             "skipped": [{"label": s.label, "name": s.name, "reason": s.reason} for s in result.skipped],
             "notes": list(result.notes),
             "timings_ms": {stage: float(ms) for stage, ms in result.timings_ms.items()},
@@ -120,13 +120,19 @@ def _frame(message: dict[str, Any]) -> Frame:
     return Frame(depth, camera, arrays["rgb"], arrays["labels"], named, "a message")
 
 
+def _surface(item: Any) -> dict[str, Any]:
+    return {
+        "vertices": np.asarray(item.mesh.vertices, np.float64),
+        "faces": np.asarray(item.mesh.faces, np.int32),
+        "uncertainty": np.asarray(item.uncertainty, np.float32),
+    }
+
+
 def _object(item: Any) -> dict[str, Any]:
     return {
         "label": int(item.label),
         "name": item.name,
-        "vertices": np.asarray(item.mesh.vertices, np.float64),
-        "faces": np.asarray(item.mesh.faces, np.int32),
-        "uncertainty": np.asarray(item.uncertainty, np.float32),
+        **_surface(item),
         "T_world_object": item.T_world_object,
         "extents": item.extents,
         "mean_uncertainty": item.mean_uncertainty,
