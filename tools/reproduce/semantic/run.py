@@ -14,10 +14,11 @@ from mapping.files import write_atomically
 from mapping.multiscale import MultiscaleConfig
 from tools.evaluation.statistics import auroc, brier
 from tools.options import write_json
-from tools.reproduce.runs import cached_run, check_choices, markdown_table, seconds, summarise, timed
+from tools.reproduce.runs import check_choices, markdown_table, seconds, summarise, timed
 from tools.reproduce.semantic.methods import METHODS, TITLES, fit_method
 from tools.reproduce.semantic.protocols import PROTOCOLS, Case, has_protocol, make_case
 from tools.reproduce.semantic.scenes import load_scene, scene_names
+from tools.runs.kept import cached_run
 
 KEYS = (
     *("miou", "accuracy", "wrong_auroc", "doubt_auroc", "unobserved_auroc", "brier"),
