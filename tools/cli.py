@@ -17,6 +17,7 @@ from tools.map_frame import map_frame
 from tools.occupancy.command import occupancy
 from tools.reproduce import commands as reproduced
 from tools.scaling import scaling
+from tools.semantic.command import semantic
 from tools.serve import serve
 from tools.simulate import fetch_ycb, scenes
 from tools.view import view
@@ -47,6 +48,7 @@ COMMANDS: dict[str, Command] = {
     "occupancy": occupancy,
     "export": export,
     "serve": serve,
+    "semantic": semantic,
     "scenes": scenes,
     "fetch": fetch,
     "evaluate": evaluate,
