@@ -69,11 +69,13 @@ class ObservedObject:
 class OtherSurface:
     """Measured surface near objects that carries no label and is no support: obstacles.
 
-    points: (N, 3) float32 [m] in the table frame; pixels: (N,) flat image indices of the same points.
+    points: (N, 3) float32 [m] in the table frame; pixels: (N,) flat image indices of the same points; bulky:
+    (N,) bool, part of something wide enough to hide something, not of a rim that a tight mask leaves over.
     """
 
     points: np.ndarray = field(default_factory=lambda: np.empty((0, 3), np.float32))
     pixels: np.ndarray = field(default_factory=lambda: NO_PIXELS)
+    bulky: np.ndarray = field(default_factory=lambda: np.empty(0, bool))
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mapping.errors import FrameError
-from perception.camera import transform
+from perception.camera import Camera, transform
 from perception.checks.scene import check_depth, check_support, screen_labels
 from perception.cleaning import clean_labels
 from perception.config import PerceptionConfig
@@ -27,7 +27,7 @@ from perception.segmentation import segment
 from perception.silhouettes import silhouettes
 from perception.support_plane import find_support_plane
 from perception.supports import Levels, find_levels
-from perception.unlabelled import what_pixels_see
+from perception.unlabelled import bulky, what_pixels_see
 
 LITTLE_MEASURED = 0.5
 """An object less of whose mask is measured than this is named in a note."""
@@ -118,7 +118,7 @@ def observe(frame: Frame, config: PerceptionConfig | None = None, seed: int = 0)
         tuple(skipped),
         tuple(notes),
         levels=levels.heights,
-        other=_near(objects, flat, np.flatnonzero(seen == OTHER), T_table_camera, config),
+        other=_obstacles(objects, points, seen, camera, T_table_camera, config),
         seen=seen,
         guess=guess if np.isfinite(guess).any() else None,
     )
@@ -137,17 +137,20 @@ def _without(
     return depth, points
 
 
-def _near(
+def _obstacles(
     objects: list[ObservedObject],
-    flat: np.ndarray,
-    pixels: np.ndarray,
+    points: np.ndarray,
+    seen: np.ndarray,
+    camera: Camera,
     T_table_camera: np.ndarray,
     config: PerceptionConfig,
 ) -> OtherSurface:
-    """Of pixels (N,) that see obstacles, those near objects. flat: (H W, 3) [m] in the camera frame."""
-    points = transform(T_table_camera, flat[pixels])
-    near = near_boxes(points, [item.bounds for item in objects], config.other_reach)
-    return OtherSurface(points[near], pixels[near])
+    """What is seen of obstacles near objects. points: (H, W, 3) [m] in the camera frame; seen: (H, W)."""
+    pixels = np.flatnonzero(seen == OTHER)
+    local = transform(T_table_camera, points.reshape(-1, 3)[pixels])
+    near = near_boxes(local, [item.bounds for item in objects], config.other_reach)
+    wide = bulky(seen, points[..., 2], float(camera.K[0, 0])).reshape(-1)[pixels]
+    return OtherSurface(local[near], pixels[near], wide[near])
 
 
 def _split_objects(

@@ -10,6 +10,25 @@ import numpy as np
 from perception.config import PerceptionConfig
 from perception.observation import NOTHING, OTHER, SUPPORT, SupportPlane
 
+RIM = 0.006
+"""What is narrower than twice this is a rim that a mask left over, or a splinter: it hides nothing [m]."""
+
+
+def bulky(seen: np.ndarray, depth: np.ndarray, focal: float) -> np.ndarray:
+    """Which pixels (H, W) bool of obstacles belong to something wider than the rim that a tight mask leaves.
+
+    seen: (H, W) as what_pixels_see gives it; depth: (H, W) [m]; focal: [px].
+    """
+    import cv2
+
+    other = seen == OTHER
+    if not other.any():
+        return other
+    radius = int(np.clip(np.ceil(RIM * focal / np.median(depth[other])), 2, 15))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    core = cv2.morphologyEx(other.astype(np.uint8), cv2.MORPH_OPEN, disc)
+    return other & (core > 0)
+
 
 def what_pixels_see(
     points: np.ndarray,

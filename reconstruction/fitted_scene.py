@@ -107,7 +107,8 @@ class FittedScene:
         """The surface of all obstacles without a label near objects; None where the map has no such class."""
         if self.other_class is None:
             return None
-        points, mesh = self.observation.other.points, self.config.mesh
+        other, mesh = self.observation.other, self.config.mesh
+        points = other.points[other.bulky]
         points = points[self.observation.near_objects(points, self.config.samples.radius)]
         low, high = points.min(0) - OTHER_MARGIN, points.max(0) + OTHER_MARGIN
         spacing = OTHER_COARSER * mesh.spacing

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mapping.samples import shift_along_rays, voxel_subsample
-from perception.observation import OTHER, Observation
+from perception.observation import Observation
 from perception.space import Space
 
 LEAST_POINTS = 30
@@ -21,19 +21,25 @@ OFFSETS = (-0.003, 0.002, 0.009)
 """Samples before, right behind and further behind an obstacle's surface [m]."""
 DOUBTS = (0.0, 0.0, 0.4)
 """The chance that each of them is something else."""
-REACH = 0.15
-"""An obstacle's hidden part may reach this far from what is seen of it [m]."""
 IN_SHELL = 0.9
 """Chance that hidden space right behind an obstacle's surface is its own."""
-BEYOND = 0.5
-"""The same deeper and beside it: half, so that the map is as unsure as it can be."""
+BEYOND = 0.4
+"""The same deeper behind it: less than half, so that the map is unsure of it and claims none of it."""
+REACH = 0.10
+"""An obstacle's hidden part may reach this far beside what is seen of it [m]."""
+BESIDE = 0.2
+"""The same of hidden space that is beside what is seen of it: behind other things."""
 TOUCHING = -0.002
 """Depth behind a surface from which on a point counts as behind it [m]."""
 
 
 def near_obstacles(observation: Observation, radius: float) -> np.ndarray:
-    """Thinned surface points (M, 3) [m] of obstacles within `radius` [m] of objects; none if few."""
-    points = observation.other.points
+    """Thinned surface points (M, 3) [m] of obstacles within `radius` [m] of objects; none if few.
+
+    Rims that tight masks leave over are none: what was measured there is known to the frame, and they hide
+    nothing that their object does not.
+    """
+    points = observation.other.points[observation.other.bulky]
     points = points[observation.near_objects(points, radius)]
     return points[voxel_subsample(points, VOXEL)] if len(points) >= LEAST_POINTS else points[:0]
 
@@ -59,12 +65,14 @@ def with_obstacles(
     takes from "empty", never from an object. shell: how thick an obstacle is at least [m]."""
     if len(obstacles) == 0:
         return guess
-    assert observation.seen is not None
+    wide = np.zeros(observation.depth.size, bool)
+    wide[observation.other.pixels[observation.other.bulky]] = True
     sight = space.look(points)
-    behind = (observation.seen.reshape(-1)[sight.pixel] == OTHER) & (sight.pixel >= 0)
+    behind = wide[sight.pixel] & (sight.pixel >= 0)
     behind &= sight.behind > TOUCHING
     distance = cKDTree(obstacles).query(points, distance_upper_bound=REACH)[0]
-    lean = np.where(behind | np.isfinite(distance), np.float32(BEYOND), np.float32(0))
+    lean = np.where(np.isfinite(distance), np.float32(BESIDE), np.float32(0))
+    lean[behind] = BEYOND
     lean[behind & (sight.behind < shell)] = IN_SHELL
     other = guess[:, 0] * lean
     guess[:, 0] -= other
