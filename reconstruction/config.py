@@ -137,6 +137,20 @@ class PaperSamples(Checked):
 
 
 @dataclass(frozen=True)
+class FusionConfig(Checked):
+    """How what was measured and what the map says become one surface."""
+
+    SECTION: ClassVar[str] = "mesh.fusion"
+
+    enabled: bool = True
+    """False: the surface is the map's alone, on its own lattice."""
+    refine: Count = 2
+    """Cells near the surface are divided by this along each axis."""
+    wall: Length = 0.004
+    """What was seen is at least this thick, unless free space shows it to be thinner [m]."""
+
+
+@dataclass(frozen=True)
 class MeshConfig(Checked):
     """How meshes are taken from the map."""
 
@@ -157,6 +171,8 @@ class MeshConfig(Checked):
     keep_seen: bool = True
     """Every cell that holds a seen point of an object belongs to it in part, so that things thinner than a
     cell stay whole."""
+    fusion: FusionConfig = field(default_factory=FusionConfig)
+    """What was measured stays where it was measured."""
 
 
 @dataclass(frozen=True)
@@ -207,7 +223,7 @@ def preset(
         config = PipelineConfig(
             samples=PaperSamples(),
             map=ModelConfig(empty_log_odds=2.0, fit=FitConfig(tolerance=3e-4)),
-            mesh=MeshConfig(floor=None, confined=False, keep_seen=False),
+            mesh=MeshConfig(floor=None, confined=False, keep_seen=False, fusion=FusionConfig(enabled=False)),
         )
     if device is not None:
         config = override(config, {"map": {"device": device}})

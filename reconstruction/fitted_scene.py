@@ -14,6 +14,7 @@ import trimesh
 
 from mapping.contramap import ContraMap
 from mapping.errors import ConfigError
+from mapping.threads import map_in_threads
 from perception.frame import Frame
 from perception.observation import Observation
 from perception.observing import observe
@@ -24,6 +25,7 @@ from reconstruction.samples.tabletop import draw_tabletop
 from reconstruction.samples.training_set import TrainingSet
 from reconstruction.surface.field import Field, evaluate_field
 from reconstruction.surface.meshing import extract_mesh
+from reconstruction.surface.seen_surface import SeenSurface
 
 OTHER_MARGIN = 0.03
 """Obstacles without a label are mapped this far around what is seen of them [m]."""
@@ -94,12 +96,21 @@ class FittedScene:
         return evaluate_field(self.map, *self.boxes, mesh.spacing, self.floors, mesh.confined)
 
     @cached_property
+    def seen(self) -> SeenSurface | None:
+        """What was measured of all objects, to be fused with the map; None where the surface is the map's."""
+        if not self.config.mesh.fusion.enabled:
+            return None
+        return SeenSurface.of(self.observation, self.frame.depth, self.floor)
+
+    @cached_property
     def meshes(self) -> list[Surface | None]:
         """The surface of each observed object, None where the map gives it no volume."""
-        extracted = (
-            extract_mesh(self.field, index, self.config.mesh, item.points)
-            for index, item in enumerate(self.observation.objects)
-        )
+
+        def extract(index: int) -> tuple[trimesh.Trimesh, np.ndarray] | None:
+            points = self.observation.objects[index].points
+            return extract_mesh(self.field, index, self.config.mesh, points, self.seen)
+
+        extracted = map_in_threads(extract, range(len(self.observation.objects)))
         return [found and Surface(*found) for found in extracted]
 
     @cached_property

@@ -24,6 +24,7 @@ STAGES = {
     "samples": "samples",
     "map": "fit",
     "field": "field",
+    "seen": "seen",
     "meshes": "mesh",
 }
 """Step of the scene -> the name its time is reported under."""

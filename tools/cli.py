@@ -17,7 +17,6 @@ from tools.map_frame import map_frame
 from tools.occupancy.command import occupancy
 from tools.reproduce import commands as reproduced
 from tools.scaling import scaling
-from tools.semantic.command import semantic
 from tools.serve import serve
 from tools.simulate import fetch_ycb, scenes
 from tools.view import view
@@ -48,7 +47,6 @@ COMMANDS: dict[str, Command] = {
     "occupancy": occupancy,
     "export": export,
     "serve": serve,
-    "semantic": semantic,
     "scenes": scenes,
     "fetch": fetch,
     "evaluate": evaluate,

@@ -8,7 +8,9 @@ from scipy import ndimage
 
 from reconstruction.config import MeshConfig
 from reconstruction.surface.field import OUTSIDE, Field
+from reconstruction.surface.fusion import fuse
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
+from reconstruction.surface.seen_surface import SeenSurface
 from reconstruction.surface.vertices_apart import apart, off_the_surface
 
 RULED_OUT = -4.0
@@ -18,26 +20,52 @@ SEEN_LOG_ODDS = 2.0
 
 
 def extract_mesh(
-    field: Field, index: int, config: MeshConfig, seen: np.ndarray | None = None
+    field: Field,
+    index: int,
+    config: MeshConfig,
+    seen: np.ndarray | None = None,
+    surface: SeenSurface | None = None,
 ) -> tuple[trimesh.Trimesh, np.ndarray] | None:
     """Closed mesh of object `index` and p(uncertain) at its vertices (V,).
 
     In the field's frame. seen: points (N, 3) [m] on the object's surface, which the mesh is to keep.
+    surface: what was measured of it, to be fused with the map; None leaves the surface to the map alone.
     Returns None when the object occupies no node of its window.
     """
-    from skimage.measure import marching_cubes
-
     window = field.windows[index]
     log_odds, uncertainty, corner = field.log_odds[index], field.uncertainty[window], field.corner(window)
-    if seen is not None and config.keep_seen:
-        log_odds = log_odds.copy()
-        nodes = nodes_of_seen_cells(log_odds, corner, field.spacing, seen, 0.0, RULED_OUT)
-        log_odds[nodes] = SEEN_LOG_ODDS
     if config.max_uncertainty is not None:
         # In the same units as the log odds, so that the surface stays smooth where the two meet.
         floor = np.log(config.max_uncertainty / (1 - config.max_uncertainty))
         sure = floor - np.log(np.clip(uncertainty, 1e-6, 1 - 1e-6) / np.clip(1 - uncertainty, 1e-6, 1))
         log_odds = np.minimum(log_odds, sure)
+    spacing, start = field.spacing, np.zeros(3)
+    if surface is not None and seen is not None and min(log_odds.shape) > 1:
+        edges = surface.edges(index)
+        log_odds, start = fuse(log_odds, corner, spacing, edges, seen, config.fusion)
+        spacing /= config.fusion.refine
+    elif seen is not None and config.keep_seen:
+        log_odds = log_odds.copy()
+        kept = nodes_of_seen_cells(log_odds, corner, spacing, seen, 0.0, RULED_OUT)
+        log_odds[kept] = SEEN_LOG_ODDS
+    found = closed_surface(log_odds, config.smallest_part)
+    if found is None:
+        return None
+    vertices, faces = found
+    nodes = vertices * (spacing / field.spacing) + start  # of the map's lattice
+    limit = np.array(uncertainty.shape) - 1
+    at_vertices = ndimage.map_coordinates(uncertainty, np.clip(nodes, 0, limit).T, order=1)
+    mesh = trimesh.Trimesh(corner + field.spacing * nodes, faces, process=False)
+    return mesh, np.clip(at_vertices, 0, 1).astype(np.float32)
+
+
+def closed_surface(log_odds: np.ndarray, smallest_part: float) -> tuple[np.ndarray, np.ndarray] | None:
+    """Vertices (V, 3), in nodes, and triangles (F, 3) of the closed surface where log odds cross zero.
+
+    Parts smaller than `smallest_part` of the largest are dropped and voids filled; None without any inside.
+    """
+    from skimage.measure import marching_cubes
+
     occupied = _occupied_box(log_odds)
     if occupied is None:
         return None
@@ -46,7 +74,7 @@ def extract_mesh(
     parts, count = ndimage.label(log_odds > 0)
     boxes = ndimage.find_objects(parts)
     sizes = np.bincount(parts.ravel())[1:]
-    kept = np.flatnonzero(sizes >= config.smallest_part * sizes.max())
+    kept = np.flatnonzero(sizes >= smallest_part * sizes.max())
     if len(kept) < count:
         log_odds = np.where((parts == 0) | np.isin(parts, kept + 1), log_odds, -0.01)
     start = np.min([[s.start for s in boxes[k]] for k in kept], axis=0)
@@ -55,11 +83,7 @@ def extract_mesh(
     values = log_odds[tuple(slice(a, b + 1) for a, b in zip(first, stop))]
     padded = np.pad(off_the_surface(values), 1, constant_values=OUTSIDE)
     vertices, faces, _, _ = marching_cubes(padded, 0.0, gradient_direction="ascent", allow_degenerate=False)
-    nodes = apart(vertices) - 1 + first + [o.start for o in occupied]
-    limit = np.array(uncertainty.shape) - 1
-    at_vertices = ndimage.map_coordinates(uncertainty, np.clip(nodes, 0, limit).T, order=1)
-    mesh = trimesh.Trimesh(corner + field.spacing * nodes, faces, process=False)
-    return mesh, np.clip(at_vertices, 0, 1).astype(np.float32)
+    return apart(vertices) - 1 + first + [o.start for o in occupied], faces
 
 
 def _occupied_box(log_odds: np.ndarray) -> tuple[slice, slice, slice] | None:

@@ -16,7 +16,7 @@ from scipy import ndimage
 from perception.frame import Frame
 from perception.observation import Observation
 from perception.space import Space
-from reconstruction.config import MeshConfig
+from reconstruction.config import FusionConfig, MeshConfig
 from reconstruction.fitted_scene import Surface, object_space
 from reconstruction.surface.field import OUTSIDE, Field, window_of
 from reconstruction.surface.meshing import extract_mesh
@@ -57,7 +57,7 @@ class FittedMap(ABC):
 
     def meshes(self, view: View) -> list[Surface | None]:
         """The surface of each observed object, taken as the project takes its own from a lattice."""
-        config = MeshConfig()
+        config = MeshConfig(fusion=FusionConfig(enabled=False))
         field = self.field(*object_space(view.observation, config.margin), config.spacing)
         seen = [item.points if self.keeps_seen else None for item in view.observation.objects]
         extracted = (extract_mesh(field, index, config, points) for index, points in enumerate(seen))

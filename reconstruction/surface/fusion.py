@@ -1,0 +1,181 @@
+"""The map and the depth image in one: log odds on a finer lattice near the surface, exact where it was seen.
+
+Distances count as log odds, one per millimetre: free space caps what the map says, a thin shell behind what
+was seen raises it, and the map answers everywhere else. Knows lattices and readings of a depth image.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+
+from reconstruction.config import FusionConfig
+from reconstruction.surface.seen_cells import nodes_of_seen_cells
+from reconstruction.surface.seen_surface import Edges
+
+PER_METRE = 1000.0
+"""Log odds a metre of distance."""
+LIMIT = 8.0
+"""Log odds beyond this say no more."""
+NEAR = 3.0
+"""A seen surface is no farther than this from the nodes of its cells, as log odds."""
+THIN = 0.4
+"""Log odds of nodes that keep things thinner than a cell whole."""
+RULED_OUT = -2.0
+"""Nodes so far in free space, as log odds, are not taken to keep a thin thing whole."""
+
+
+def fuse(
+    log_odds: np.ndarray,
+    corner: np.ndarray,
+    spacing: float,
+    edges: Edges,
+    points: np.ndarray,
+    config: FusionConfig,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fused log odds on a lattice `refine` times as fine that holds all of the object, and the place (3,) of
+    its first node, in nodes of the given lattice.
+
+    log_odds: (nx, ny, nz) of the map at corner + spacing * (i, j, k) [m, table frame], two nodes or more an
+    axis; edges: of the object's image; points: (N, 3) seen of it [m].
+    """
+    within = np.concatenate([points, edges.behind(points, config.wall)])
+    seen_cells = _cells_with(within, corner, spacing, log_odds.shape)
+    possible = log_odds > 0
+    possible[:-1, :-1, :-1] |= seen_cells
+    # Nothing of the object lies elsewhere.
+    box, start = _box_of(possible)
+    log_odds, seen_cells, possible = log_odds[box], _cells_of(seen_cells, box), _beside(possible[box])
+    corner = corner + spacing * start
+    nodes = np.flatnonzero(possible)
+    raised = np.clip(log_odds, -LIMIT, LIMIT)
+    at_nodes = raised.reshape(-1)[nodes]
+    at_nodes, cap, unknown = _read(at_nodes, nodes, raised.shape, corner, spacing, edges, config)
+    raised.reshape(-1)[nodes] = at_nodes
+    # Holes of up to two cells in what nobody saw are the map's noise.
+    closed = ndimage.grey_closing(raised, 3).reshape(-1)[nodes]
+    at_nodes = np.where(unknown, closed, at_nodes)
+    raised.reshape(-1)[nodes] = at_nodes
+    fused = raised.copy()
+    fused.reshape(-1)[nodes] = np.minimum(at_nodes, cap)
+    # The surface crosses a cell between nodes of both signs, or slips between those of cells near what was
+    # seen; not where all nodes are far from it.
+    lowest, highest = _range_in_cells(fused)
+    active = (lowest <= 0) & (highest > 0)
+    active |= seen_cells & (lowest < NEAR) & (highest > -NEAR)
+    fine = _nodes_of_cells(active, config.refine)
+    # Elsewhere only the sign counts: that of a node of the cell.
+    first = [np.arange(n) // config.refine for n in fine.shape]
+    values = fused[np.ix_(*first)]
+    nodes = np.flatnonzero(fine)
+    fine_spacing = spacing / config.refine
+    odds = upsample(raised, config.refine).reshape(-1)[nodes]
+    odds, cap, _ = _read(odds, nodes, values.shape, corner, fine_spacing, edges, config)
+    values.reshape(-1)[nodes] = np.minimum(odds, cap)
+    kept = nodes_of_seen_cells(values, corner, fine_spacing, points, 0.0, RULED_OUT, beside=False)
+    above = PER_METRE * edges.above_floor((corner[2] + fine_spacing * kept[2]).astype(np.float32))
+    values[kept] = np.maximum(values[kept], np.minimum(above, THIN))
+    return values, start
+
+
+def _read(
+    odds: np.ndarray,
+    nodes: np.ndarray,
+    shape: tuple[int, ...],
+    corner: np.ndarray,
+    spacing: float,
+    edges: Edges,
+    config: FusionConfig,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """At flat nodes (M,) of a lattice: log odds (M,) raised by what was seen, the cap, and who nobody saw."""
+    points = np.stack(np.unravel_index(nodes, shape), axis=1).astype(np.float32)
+    points *= np.float32(spacing)
+    points += corner.astype(np.float32)
+    reading = edges.read(points)
+    raised = np.maximum(odds, PER_METRE * (np.float32(config.wall) - reading.depth))
+    # What was seen of another object is that object's.
+    theirs = PER_METRE * (reading.others - np.float32(config.wall))
+    raised = np.where((reading.others > 0) & (theirs < 0), np.minimum(raised, theirs), raised)
+    unknown = (reading.distance > 0) & (reading.depth > config.wall) & (theirs > 0)
+    cap = np.clip(PER_METRE * reading.distance, -LIMIT, LIMIT)
+    return np.clip(raised, -LIMIT, LIMIT), cap, unknown
+
+
+def upsample(values: np.ndarray, factor: int) -> np.ndarray:
+    """Linear interpolation of (nx, ny, nz) to factor times as many cells an axis."""
+    for axis in range(3):
+        shape = list(values.shape)
+        shape[axis] = factor * (shape[axis] - 1) + 1
+        fine = np.empty(shape, np.float32)
+        low, high, part = ([slice(None)] * 3 for _ in range(3))
+        part[axis] = slice(None, None, factor)
+        fine[tuple(part)] = values
+        low[axis], high[axis] = slice(None, -1), slice(1, None)
+        for step in range(1, factor):
+            share = np.float32(step / factor)
+            part[axis] = slice(step, None, factor)
+            place = fine[tuple(part)]
+            np.multiply(values[tuple(high)], share, out=place)
+            place += (1 - share) * values[tuple(low)]
+        values = fine
+    return values
+
+
+def _box_of(nodes: np.ndarray) -> tuple[tuple[slice, ...], np.ndarray]:
+    """The part of a lattice that holds all of some nodes and, where there are any, two more on each side; and
+    its first node (3,)."""
+    ends = []
+    for axis in range(3):
+        along = np.flatnonzero(nodes.any(tuple(other for other in range(3) if other != axis)))
+        first, last = (along[0], along[-1]) if len(along) else (0, 0)
+        ends.append(slice(max(int(first) - 2, 0), min(max(int(last) + 3, 2), nodes.shape[axis])))
+    return tuple(ends), np.array([part.start for part in ends])
+
+
+def _cells_of(cells: np.ndarray, box: tuple[slice, ...]) -> np.ndarray:
+    """The cells between the nodes of a part of a lattice."""
+    return cells[tuple(slice(part.start, part.stop - 1) for part in box)]
+
+
+def _beside(nodes: np.ndarray, corners: bool = True) -> np.ndarray:
+    """Nodes (nx, ny, nz) bool and all their neighbours; without corners, those across faces alone."""
+    wide = nodes.copy()
+    for axis in range(3):
+        ahead, behind = ([slice(None)] * 3 for _ in range(2))
+        ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
+        narrow = wide.copy() if corners else nodes
+        wide[tuple(ahead)] |= narrow[tuple(behind)]
+        wide[tuple(behind)] |= narrow[tuple(ahead)]
+    return wide
+
+
+def _range_in_cells(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest value at the nodes of each cell (nx - 1, ny - 1, nz - 1)."""
+    least = greatest = values
+    for axis in range(3):
+        low, high = ([slice(None)] * 3 for _ in range(2))
+        low[axis], high[axis] = slice(None, -1), slice(1, None)
+        least = np.minimum(least[tuple(low)], least[tuple(high)])
+        greatest = np.maximum(greatest[tuple(low)], greatest[tuple(high)])
+    return least, greatest
+
+
+def _nodes_of_cells(cells: np.ndarray, factor: int) -> np.ndarray:
+    """Fine nodes (factor n + 1 an axis) in and on coarse cells (n an axis)."""
+    fine = np.zeros([factor * n + 1 for n in cells.shape], bool)
+    fine[:-1, :-1, :-1] = cells.repeat(factor, 0).repeat(factor, 1).repeat(factor, 2)
+    for axis in range(3):
+        last, before = ([slice(None)] * 3 for _ in range(2))
+        last[axis], before[axis] = slice(factor, None, factor), slice(factor - 1, None, factor)
+        fine[tuple(last)] |= fine[tuple(before)]
+    return fine
+
+
+def _cells_with(points: np.ndarray, corner: np.ndarray, spacing: float, shape: tuple[int, ...]) -> np.ndarray:
+    """Cells (nx - 1, ny - 1, nz - 1) that hold a point, and those beside them."""
+    limit = np.array(shape) - 1
+    cell = ((points - corner.astype(np.float32)) / np.float32(spacing)).astype(np.int32)
+    inside = ((points >= corner) & (cell < limit)).all(1)
+    held = np.zeros(limit, bool)
+    held[tuple(cell[inside].T)] = True
+    return _beside(held, corners=False)
