@@ -30,13 +30,13 @@ format: $(STAMP)
 
 $(DEMO): pyproject.toml constraints.txt
 	@$(MAKE) --no-print-directory environment
-	@echo "Installing ContraMap with its simulator and viewer into $(VENV): 3 GB more or less (most of it torch), some minutes."
+	@echo "Installing ContraMap with its simulator and viewer into $(VENV): 4 to 7 GB, most of it torch and its CUDA libraries; this takes a while."
 	$(PIP) -e '.[sim,viz]'
 	@touch $@
 
 $(STAMP): pyproject.toml constraints.txt
 	@$(MAKE) --no-print-directory environment
-	@echo "Installing ContraMap with all that its tests need into $(VENV): some GB (most of it torch), some minutes."
+	@echo "Installing ContraMap with all that its tests need into $(VENV): 4 to 8 GB, most of it torch and its CUDA libraries; this takes a while."
 	$(PIP) -e '.[dev]'
 	@touch $(DEMO) $@
 

@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from reconstruction.config import PipelineConfig, preset
-    from reconstruction.files.result_folder import load_result, save_reconstruction
+    from reconstruction.files.result_folder import save_reconstruction
+    from reconstruction.files.stored import load_result
     from reconstruction.result import Reconstruction
     from reconstruction.scene import reconstruct
 
 _HOME = {
     "PipelineConfig": "reconstruction.config",
     "Reconstruction": "reconstruction.result",
-    "load_result": "reconstruction.files.result_folder",
+    "load_result": "reconstruction.files.stored",
     "preset": "reconstruction.config",
     "reconstruct": "reconstruction.scene",
     "save_reconstruction": "reconstruction.files.result_folder",

@@ -1,16 +1,18 @@
 """What is at a point: the map's answer, and what the frame itself says, which no map may contradict.
 
-Knows the map, the observation and its space; knows nothing of meshes, files or world frames. What was
+Knows the map, the observation and its space; knows nothing of meshes or files. What was
 measured is never called free: the map is smooth, and may lean a few millimetres or a shadow too far.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mapping.checks import checked_points
 from mapping.contramap import ContraMap
+from perception.camera import invert_rigid, transform
 from perception.observation import NOTHING, OTHER, SUPPORT, Observation
 from perception.space import Sight, Space
 
@@ -69,6 +71,25 @@ def ask(
     if observation.seen is not None:
         _mind_what_was_seen(answer, observation, space, floor, points)
     return answer
+
+
+def ask_world(
+    model: ContraMap,
+    observation: Observation,
+    space: Space,
+    floor: float | None,
+    T_world_table: np.ndarray,
+    points: np.ndarray,
+) -> Query:
+    """The answer at points (N, 3) [m] in the world frame, the gradient in that frame; T_world_table: (4, 4).
+
+    Raises DataError for points of another shape, NaN and infinite values.
+    """
+    checked_points(points, dimensions=3)
+    # In double precision: world frames may have their origin thousands of kilometres away.
+    local = transform(invert_rigid(T_world_table), np.asarray(points, np.float64)).astype(np.float32)
+    found = ask(model, observation, space, floor, local)
+    return replace(found, gradient=found.gradient @ T_world_table[:3, :3].T.astype(np.float32))
 
 
 def _mind_what_was_seen(

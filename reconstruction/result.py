@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import trimesh
 
-from perception.camera import invert_rigid, transform
+from perception.camera import invert_rigid
 from perception.frame import Frame
-from perception.observation import Observation, Skipped
+from perception.observation import NOTHING, OTHER, Observation, Skipped
 from perception.space import Space
-from reconstruction.query import Query, ask
+from reconstruction.lookup import count, find, names
+from reconstruction.query import Query, ask_world
 from reconstruction.surface.agreement import Agreement, agreement_with_depth
 
 if TYPE_CHECKING:
@@ -25,7 +28,7 @@ SENSOR_TOLERANCE = 0.005
 """Meshes are compared with a depth image, whatever sensor it comes from, to this [m]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ReconstructedObject:
     """One object's surface with uncertainty, in the world frame.
 
@@ -50,6 +53,13 @@ class ReconstructedObject:
     @property
     def watertight(self) -> bool:
         return bool(self.mesh.is_watertight and self.mesh.is_winding_consistent)
+
+    def __repr__(self) -> str:
+        size = " x ".join(f"{1e3 * side:.0f}" for side in self.extents)
+        return (
+            f"ReconstructedObject({self.label} {self.name}, {size} mm, {len(self.mesh.vertices)} vertices, "
+            f"mean uncertainty {self.mean_uncertainty:.2f})"
+        )
 
 
 @dataclass(frozen=True)
@@ -85,7 +95,7 @@ class OtherObstacles:
         return float(self.uncertainty.mean())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Reconstruction:
     """Objects, the fitted map, and what happened on the way.
 
@@ -140,19 +150,40 @@ class Reconstruction:
             if (found := self.agreement[item.label]).contradicts
         ]
 
+    @property
+    def map_labels(self) -> tuple[int, ...]:
+        """The label of each of the map's columns: 0 empty, the objects, -2 other obstacles, -1 uncertain.
+
+        An observed object has its column even where it got no mesh.
+        """
+        labels = [item.label for item in self.observation.objects]
+        others = [OTHER] * (len(self.map.offset) - 2 - len(labels))
+        return (0, *labels, *others, NOTHING)
+
     def query(self, points: np.ndarray) -> Query:
         """What is at points (N, 3) [m] in the world frame: see Query for the codes of its labels.
 
         Raises DataError for points of another shape, NaN and infinite values.
         """
-        from mapping.checks import checked_points
+        return ask_world(self.map, self.observation, self.space, self.floor, self.T_world_table, points)
 
-        checked_points(points, dimensions=3)
-        # In double precision: world frames may have their origin thousands of kilometres away.
-        local = transform(invert_rigid(self.T_world_table), np.asarray(points, np.float64)).astype(np.float32)
-        found = ask(self.map, self.observation, self.space, self.floor, local)
-        turned = found.gradient @ self.T_world_table[:3, :3].T.astype(np.float32)
-        return replace(found, gradient=turned)
+    def save(self, folder: str | Path, overwrite: bool = False) -> Path:
+        """Write the result folder, as `contramap map` does, and return its path; see save_reconstruction."""
+        from reconstruction.files.result_folder import save_reconstruction
+
+        return save_reconstruction(self, Path(folder), overwrite)
+
+    def __getitem__(self, key: str | int) -> ReconstructedObject:
+        """The object of this name or label; DataError that names the valid ones."""
+        return find(self.objects, key)
+
+    def __iter__(self) -> Iterator[ReconstructedObject]:
+        return iter(self.objects)
+
+    def __repr__(self) -> str:
+        skipped = f"; {len(self.skipped)} skipped" if self.skipped else ""
+        took = f"; {self.timings_ms['total'] / 1e3:.2f} s" if "total" in self.timings_ms else ""
+        return f"Reconstruction({count(self.objects, 'object')}: {names(self.objects)}{skipped}{took})"
 
     def distance(self, points: np.ndarray, label: int | None = None) -> Distances:
         """Signed distance, its gradient and "unknown" at points (N, 3) [m, world frame].

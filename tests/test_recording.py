@@ -10,7 +10,8 @@ import pytest
 from solids import KEYS, reconstructed_tabletop, true_meshes
 
 from mapping.errors import DataError
-from reconstruction.files.result_folder import RECORDING, save_reconstruction
+from reconstruction.files.output_folder import RECORDING
+from reconstruction.files.result_folder import save_reconstruction
 from reconstruction.pictures.recording import record
 from tools.view import find_recording, view
 

@@ -16,8 +16,9 @@ from solids import reconstructed_tabletop
 from mapping.errors import ConfigError, DataError
 from mapping.model_io import load_map
 from perception.camera import invert_rigid, transform
-from reconstruction.files.result_folder import check_output, load_result, save_reconstruction
+from reconstruction.files.result_folder import check_output, save_reconstruction
 from reconstruction.files.scene_json import NAME_LENGTH, object_folder, safe_name, to_json
+from reconstruction.files.stored import load_result
 
 HOSTILE_NAMES = (
     "../../etc/passwd",

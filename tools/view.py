@@ -13,7 +13,8 @@ from typing import Annotated
 import tyro
 
 from mapping.errors import ConfigError, DataError
-from reconstruction.files.result_folder import RECORDING, load_result
+from reconstruction.files.output_folder import RECORDING
+from reconstruction.files.stored import load_result
 
 
 def view(result: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULT")]) -> None:

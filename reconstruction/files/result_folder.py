@@ -14,19 +14,14 @@ recording.rrd                     when asked for
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import trimesh
 
-from mapping.errors import DataError
 from mapping.folders import staged_folder
-from mapping.guarded_files import read_json
-from perception.frame import Frame
-from reconstruction.files.mesh_files import decode_ply, encode_obj, encode_ply, loads_closed
+from reconstruction.files.mesh_files import encode_obj, encode_ply, loads_closed
 from reconstruction.files.output_folder import (
     RECORDING,
     SCENE,
@@ -34,70 +29,15 @@ from reconstruction.files.output_folder import (
     check_replaceable,
     written_files,
 )
-from reconstruction.files.scene_json import FORMAT, OTHER_FOLDER, describe, object_folder, to_json
-from reconstruction.files.stored_frame import read_frame, write_frame
+from reconstruction.files.scene_json import OTHER_FOLDER, describe, object_folder, to_json
+from reconstruction.files.stored import StoredObject, StoredResult, load_result
+from reconstruction.files.stored_frame import write_frame
 from reconstruction.pictures.overview import draw_overview
-from reconstruction.result import Reconstruction
 
 if TYPE_CHECKING:
-    from mapping.contramap import ContraMap
-    from reconstruction.distance import DistanceField, Distances
+    from reconstruction.result import Reconstruction
 
-
-@dataclass(frozen=True)
-class StoredObject:
-    """One object read back: mesh [m, world frame], uncertainty (V,), pose and extents as in scene.json.
-
-    class_index: the object's column in the map's probabilities.
-    """
-
-    label: int
-    name: str
-    mesh: trimesh.Trimesh
-    uncertainty: np.ndarray
-    T_world_object: np.ndarray
-    extents: np.ndarray
-    folder: Path
-    class_index: int
-
-
-@dataclass(frozen=True)
-class StoredResult:
-    """A result folder read back; scene is the whole of scene.json."""
-
-    folder: Path
-    scene: dict[str, Any]
-    objects: tuple[StoredObject, ...]
-
-    def frame(self) -> Frame:
-        """The frame the result was made from; raises DataError when it is missing or damaged."""
-        return read_frame(self.folder)
-
-    def map(self) -> ContraMap:
-        """The fitted map, in the table frame."""
-        from mapping.model_io import load_map
-
-        return load_map(self.folder / "map.npz")
-
-    @property
-    def T_world_table(self) -> np.ndarray:
-        """(4, 4) from the table frame, whose z axis is the support's normal, to the world frame of all
-        meshes."""
-        return np.array(self.scene["T_world_table"], float).reshape(4, 4)
-
-    def distance(self, points: np.ndarray, label: int | None = None) -> Distances:
-        """As Reconstruction.distance; needs the stored map."""
-        if label not in self._distance_fields:
-            from reconstruction.distance import distance_to
-
-            meshes = {item.label: item.mesh for item in self.objects}
-            field = distance_to(meshes, label, self.T_world_table, self.map())
-            self._distance_fields[label] = field
-        return self._distance_fields[label](points)
-
-    @cached_property
-    def _distance_fields(self) -> dict[int | None, DistanceField]:
-        return {}
+__all__ = ["StoredObject", "StoredResult", "check_output", "load_result", "save_reconstruction"]
 
 
 def save_reconstruction(
@@ -119,26 +59,6 @@ def save_reconstruction(
     with staged_folder(folder, may_replace, last=SCENE) as partial:
         _write(reconstruction, partial, truth, recording)
     return folder
-
-
-def load_result(folder: Path) -> StoredResult:
-    """Read scene.json and all meshes; raises DataError when one is missing, cut short or not a result."""
-    folder = Path(folder)
-    path = folder / "scene.json"
-    if not path.is_file():
-        raise DataError(
-            f"{folder}: not a result folder (no scene.json); `contramap map FRAME --out DIR` makes one"
-        )
-    scene = read_json(path, "map the frame again")
-    if not isinstance(scene, dict) or scene.get("format") != FORMAT:
-        raise DataError(f"{path}: not a scene.json of this version (format {FORMAT}); map the frame again")
-    try:
-        objects = tuple(_load_object(folder, entry, k) for k, entry in enumerate(scene["objects"], 1))
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise DataError(
-            f"{path}: an object's entry is incomplete ({error!r}); map the frame again"
-        ) from error
-    return StoredResult(folder, scene, objects)
 
 
 def _write(
@@ -186,20 +106,3 @@ def _write_fields(reconstruction: Reconstruction, path: Path) -> None:
         arrays[f"uncertainty_{item.label}"] = np.asarray(item.uncertainty, np.float16)
     with path.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
-
-
-def _load_object(folder: Path, entry: dict[str, Any], number: int) -> StoredObject:
-    path = folder / str(entry["mesh"])
-    if not path.resolve().is_relative_to(folder.resolve()):
-        raise DataError(f"{folder / 'scene.json'}: mesh path {entry['mesh']!r} leaves the result folder")
-    mesh, uncertainty = decode_ply(path)
-    return StoredObject(
-        label=int(entry["label"]),
-        name=str(entry["name"]),
-        mesh=mesh,
-        uncertainty=uncertainty,
-        T_world_object=np.array(entry["T_world_object"], float).reshape(4, 4),
-        extents=np.array(entry["extents"], float).reshape(3),
-        folder=path.parent,
-        class_index=int(entry.get("class_index", number)),
-    )

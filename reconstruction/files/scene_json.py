@@ -7,12 +7,11 @@ import re
 import unicodedata
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mapping.threads import thread_count
-from reconstruction.result import ReconstructedObject, Reconstruction
 
 FORMAT = "contramap-result-1"
 OTHER_FOLDER = "objects/other"
@@ -28,6 +27,9 @@ PACKAGES = (
     "trimesh",
     "opencv-python-headless",
 )
+
+if TYPE_CHECKING:
+    from reconstruction.result import ReconstructedObject, Reconstruction
 
 
 LITTLE_MEASURED = 0.5
@@ -48,6 +50,8 @@ def describe(reconstruction: Reconstruction, closed: Mapping[int, bool] | None =
             "source": frame.source,
             "T_world_camera": frame.camera.T_world_camera,
             "T_world_table": reconstruction.T_world_table,
+            "map_labels": reconstruction.map_labels,
+            "floor": reconstruction.floor,
             "support_plane": None if support is None else {"inlier_ratio": support.inlier_ratio},
             "objects": [
                 _describe_object(item, reconstruction, closed or {}) for item in reconstruction.objects

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import trimesh
@@ -14,7 +14,10 @@ from reconstruction.pictures.near_origin import near_origin
 from reconstruction.pictures.palette import OTHER_COLOUR, object_colour, uncertainty_colours
 from reconstruction.pictures.shading import View, cast, frame_meshes
 from reconstruction.pictures.slices import slice_uncertainty, table_axes
-from reconstruction.result import ReconstructedObject, Reconstruction
+
+if TYPE_CHECKING:
+    from reconstruction.result import ReconstructedObject, Reconstruction
+
 
 WIDTH = 1600
 PANEL = (508, 381)  # three panels a row

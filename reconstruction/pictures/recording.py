@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import trimesh
@@ -30,7 +30,6 @@ from mapping.errors import ConfigError
 from mapping.files import write_atomically
 from mapping.folders import check_writable
 from perception.camera import invert_rigid, transform
-from reconstruction.files.result_folder import StoredObject, StoredResult
 from reconstruction.files.scene_json import object_folder
 from reconstruction.pictures.blueprint import first_view, mesh_blueprint, run_blueprint
 from reconstruction.pictures.near_origin import near_origin, shift_of, shifted_mesh, shifted_pose
@@ -42,7 +41,11 @@ from reconstruction.pictures.palette import (
     uncertainty_colours,
 )
 from reconstruction.pictures.slices import slice_uncertainty, table_axes
-from reconstruction.result import ReconstructedObject, Reconstruction
+
+if TYPE_CHECKING:
+    from reconstruction.files.stored import StoredObject, StoredResult
+    from reconstruction.result import ReconstructedObject, Reconstruction
+
 
 Truth = Mapping[int, trimesh.Trimesh]
 TRUTH_COLOUR = (90, 200, 120, 110)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import trimesh
 
 from perception.camera import invert_rigid, transform
-from reconstruction.result import Reconstruction
+
+if TYPE_CHECKING:
+    from reconstruction.result import Reconstruction
 
 
 @dataclass(frozen=True)
