@@ -139,3 +139,20 @@ def test_quantiles_are_numpys() -> None:
     values = np.random.default_rng(0).normal(size=101).astype(np.float32)
     shares = (0.0, 0.03, 0.5, 0.999, 1.0)
     np.testing.assert_allclose(quantiles(values, *shares), np.quantile(values, shares), atol=1e-6)
+
+
+def test_seen_from_straight_above_nothing_hovers() -> None:
+    from reconstruction import reconstruct
+
+    shapes = (
+        Shape("box", (0.06, 0.09, 0.16), (0.02, 0.08, 0.08), 0.4),
+        Shape("cylinder", (0.035, 0.10), (-0.06, -0.08, 0.05)),
+    )
+    scene = make_tabletop(shapes, eye=(0.0, 0.0, 0.8), target=(0.0, 0.0, 0.0), noise=0.001)
+    result = reconstruct(scene.frame)
+    assert len(result.objects) == 2
+    for item, shape in zip(sorted(result.objects, key=lambda item: item.label), shapes):
+        assert item.mesh.bounds[0][2] < 0.005
+        assert abs(item.extents[2] - shape.size[-1]) < 0.012
+        low = item.mesh.vertices[:, 2] < 0.5 * shape.size[-1]
+        assert item.uncertainty[low].mean() > item.uncertainty[~low].mean()  # there, but unsure

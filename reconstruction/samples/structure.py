@@ -19,6 +19,8 @@ FOOT_GAP = 0.02
 """An object whose visible part ends higher above its support than this may lack a foot [m]."""
 STANDING = 0.5
 """It lacks one where nowhere on its support it is as probable as this."""
+COVERED = 0.5
+"""It lies on something else where that stands under more than this share of it."""
 REACH_DOWN = 0.75
 """Such an object goes down to its support with this probability where it is above: unsure, but there."""
 JUST_UNDER = 0.006
@@ -49,9 +51,10 @@ def _objects(
     """(N, K+1) guess of {empty, object 1..K} at points (N, 3)."""
     if config.prior == "learned" and observation.support is not None:
         guess = hidden_labels(observation, space, points)
-        for index, item in enumerate(observation.objects):
-            if item.bounds[0][2] - item.floor > FOOT_GAP:
-                _reach_down(observation, space, index, points, guess)
+        gaps = [item.bounds[0][2] - item.floor for item in observation.objects]
+        for index in np.argsort(gaps, kind="stable"):  # the lowest first: what lies on top rests on them
+            if gaps[index] > FOOT_GAP:
+                _reach_down(observation, space, int(index), points, guess)
         return guess
     return _shell(observation, config.shell, points)
 
@@ -66,17 +69,20 @@ def _reach_down(
     column = ((points[:, :2] > low[:2] - FOOT_GAP) & (points[:, :2] < high[:2] + FOOT_GAP)).all(1)
     column &= points[:, 2] < low[2]
     ground = column & (points[:, 2] < item.floor + FOOT_GAP / 4)
-    if not ground.any() or (guess[ground, 1:] > STANDING).any():
-        return  # it stands, or something else stands where it would
+    own = index + 1
+    if not ground.any() or (guess[ground, own] > STANDING).any():
+        return
     rows = np.flatnonzero(column)
     above = points[rows].copy()
     above[:, 2] = low[2] - JUST_UNDER
-    own = index + 1
     there = hidden_labels(observation, space, above)[:, own]
     # Where the visible part itself is right above, no guess is needed.
     apart = cKDTree(item.outline[::2, :2]).query(points[rows, :2], distance_upper_bound=2 * JUST_UNDER)[0]
     there = np.where(apart < JUST_UNDER, 1.0, there)
     others = guess[rows].sum(1) - guess[rows, 0] - guess[rows, own]
+    foot = ground[rows] & (there > STANDING)
+    if foot.any() and (others[foot] > STANDING).mean() > COVERED:
+        return  # something else stands where it would: it lies on that
     share = np.maximum(guess[rows, own], REACH_DOWN * there * (1 - others))
     guess[rows, 0] = np.maximum(1 - others - share, 0)
     guess[rows, own] = share
