@@ -193,8 +193,8 @@ def test_parts_come_from_the_cache_the_second_time(tmp_path, monkeypatch):
 
 def test_splinters_that_engines_refuse_are_left_out():
     flat = np.array([[0, 0, 0], [0.01, 0, 0], [0, 0.01, 0], [0.01, 0.01, 1e-9]])
-    assert collision._hull(flat) is None
-    assert collision._hull(flat + np.array([[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 1e-3]])) is not None
+    assert collision.convex_hull(flat) is None
+    assert collision.convex_hull(flat + np.array([[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 1e-3]])) is not None
 
 
 def test_what_takes_too_long_becomes_its_hull_and_says_so(tmp_path, monkeypatch):

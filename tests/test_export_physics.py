@@ -6,9 +6,12 @@ import json
 
 import numpy as np
 import pytest
+import trimesh
 from planner_scene import MUG_HEIGHT, MUG_RADIUS, PlannerScene, planner_scene
 
 from perception.camera import invert_rigid, transform
+from reconstruction.export.collision import ConvexParts
+from reconstruction.export.footing import with_footing
 from reconstruction.export.formats import export
 from tools.export_checks import stand, summarise
 
@@ -82,6 +85,23 @@ def test_a_ball_dropped_on_the_mug_ends_inside_in_mujoco(planned, out):
         mujoco.mj_step(model, data)
     assert in_the_mug(planned, data.xpos[model.body("ball").id])
     assert MUG_HEIGHT > 0.05
+
+
+def test_nothing_reaches_into_the_support_and_the_foot_is_flat(planned):
+    scene = planned.scene()
+    for item in scene.objects:
+        low = item.solid.bounds[0, 2]
+        corners = np.concatenate([part.vertices for part in scene.parts[item.label].parts])
+        assert corners[:, 2].min() == pytest.approx(low, abs=1e-6)
+        assert scene.parts[item.label].error_m < 3e-3
+    ball = trimesh.creation.icosphere(3, 0.04)
+    whole = ConvexParts((ball,), 0.0, 0.0)
+    cut = with_footing(whole, ball, -0.039)
+    assert np.concatenate([part.vertices for part in cut.parts])[:, 2].min() == pytest.approx(-0.039)
+    foot = cut.parts[0].vertices[:, 2] < -0.0389
+    assert np.ptp(cut.parts[0].vertices[foot][:, 0]) > 0.015
+    assert cut.error_m < 3e-3
+    assert with_footing(whole, ball, -0.06) is whole
 
 
 def test_what_stood_stays_standing(planned, out):

@@ -184,6 +184,23 @@ def test_client_stands_alone():
     subprocess.run([sys.executable, "-c", code], check=True, cwd="/")
 
 
+def test_warming_up_maps_a_frame_and_keeps_nothing(monkeypatch):
+    import tools.serving.answers as module
+
+    answers, mapped = Answers(preset()), []
+    own = module.Answers._map
+
+    def watched(self, client, message):
+        mapped.append(own(self, client, message))
+        return mapped[-1]
+
+    monkeypatch.setattr(module.Answers, "_map", watched)
+    answers.warm_up()
+    assert len(mapped[0]["objects"]) == 1
+    with pytest.raises(DataError, match="no mapped frame"):
+        answers(b"", {"request": "distance", "points": np.zeros((1, 3))})
+
+
 def test_silence_is_a_timeout():
     lonely = Client("tcp://127.0.0.1:9", 0.05)
     with pytest.raises(TimeoutError):

@@ -106,7 +106,7 @@ def _parts_of(mesh: trimesh.Trimesh, config: CollisionConfig, process: CoacdProc
     if points is None:
         points = _cut(mesh, config, process)
         _write(path, points)
-    hulls = tuple(hull for part in points if (hull := _hull(part)) is not None)
+    hulls = tuple(hull for part in points if (hull := convex_hull(part)) is not None)
     missing, excess = parts_error(mesh, hulls)
     return ConvexParts(hulls, missing, excess)
 
@@ -148,7 +148,7 @@ def simplified(mesh: trimesh.Trimesh, tolerance: float) -> tuple[trimesh.Trimesh
     return trimesh.Trimesh(simple.vert_properties[:, :3].astype(float), simple.tri_verts, process=False), True
 
 
-def _hull(points: np.ndarray) -> trimesh.Trimesh | None:
+def convex_hull(points: np.ndarray) -> trimesh.Trimesh | None:
     """The closed convex hull of a part; None when it is flat, which no engine accepts."""
     from scipy.spatial import ConvexHull, QhullError
 

@@ -18,6 +18,7 @@ from mapping.errors import ConfigError
 from perception.camera import invert_rigid, transform
 from perception.frame import Frame
 from reconstruction.export.collision import CollisionConfig, ConvexParts, convex_parts
+from reconstruction.export.footing import with_footing
 from reconstruction.files.result_folder import StoredResult
 from reconstruction.files.scene_json import OTHER_FOLDER, object_folder
 
@@ -126,7 +127,12 @@ class ExportScene:
     def parts(self) -> dict[int, ConvexParts]:
         """Label -> convex parts [m] of the object's solid, in the object's frame."""
         cut = convex_parts([item.solid for item in self.objects], CollisionConfig(), self._progress)
-        return {item.label: parts for item, parts in zip(self.objects, cut)}
+        if not self.support_found:
+            return {item.label: parts for item, parts in zip(self.objects, cut)}
+        return {
+            item.label: with_footing(parts, item.solid, self._support_height(item))
+            for item, parts in zip(self.objects, cut)
+        }
 
     @property
     def has_parts(self) -> bool:
@@ -152,6 +158,10 @@ class ExportScene:
     def up(self) -> np.ndarray:
         """Unit vector (3,) in the world frame against gravity: the support's normal, or z."""
         return self.T_world_table[:3, 2] if self.support_found else np.array([0.0, 0.0, 1.0])
+
+    def _support_height(self, item: ExportObject) -> float:
+        """z of the support plane in an object's frame [m]: the z axes are parallel."""
+        return float((invert_rigid(item.T_world_object) @ self.T_world_table)[2, 3])
 
     def collision_statement(self) -> dict[str, Any]:
         """Number of convex parts of each object, and how far they are from its surface [mm]."""
