@@ -25,9 +25,9 @@ IN_SHELL = 0.9
 """Chance that hidden space right behind an obstacle's surface is its own."""
 BEYOND = 0.4
 """The same deeper behind it: less than half, so that the map is unsure of it and claims none of it."""
-REACH = 0.10
+REACH = 0.15
 """An obstacle's hidden part may reach this far beside what is seen of it [m]."""
-BESIDE = 0.2
+BESIDE = 0.3
 """The same of hidden space that is beside what is seen of it: behind other things."""
 TOUCHING = -0.002
 """Depth behind a surface from which on a point counts as behind it [m]."""
