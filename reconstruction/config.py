@@ -163,7 +163,7 @@ class MeshConfig(Checked):
     floor: float | None = -0.0015
     """Nothing reaches below this height over the support plane [m]; None: meshes may."""
     smallest_part: Share = 0.05
-    """Parts of an object smaller than this share of its largest part are dropped."""
+    """Parts smaller than this share of the largest part are dropped, unless they were seen."""
     max_uncertainty: OpenShare | None = None
     """Keep only what is less uncertain than this (0..1); None keeps all."""
     confined: bool = True

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -20,8 +21,16 @@ import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull, QhullError
 
-from mapping.files import cache_dir
+from mapping.errors import DataError
+from mapping.files import cache_dir, temporary_beside
+from mapping.parent import end_with_parent
 from sim_scenes.objects.object_model import ObjectModel
+
+END = "# end\n"
+"""The last line of a file of parts: one without it was cut."""
+LAYOUT = 2
+"""Raised when files of parts change: older ones are made again."""
+ATTEMPTS = 2
 
 
 @dataclass(frozen=True)
@@ -36,25 +45,37 @@ class ConvexConfig:
     """Largest concavity of a part, relative to the object's size; small enough to keep cups hollow."""
     convex_above: float = 0.97
     """Objects that fill more than this share of their convex hull are taken as convex."""
-    time_limit_s: float = 60.0
-    """Seconds after which an object falls back to its convex hull."""
+    time_limit_s: float = 300.0
+    """Seconds after which cutting an object is given up: with another shape in its place, the same seed would
+    make another scene."""
 
 
 def collision_file(model: ObjectModel, config: ConvexConfig | None = None) -> Path:
     """OBJ file whose groups are the convex parts [m], in the object's frame moved to its centre of mass.
 
-    Computed once per mesh content and settings, then read from the cache folder.
+    Computed once per mesh content and settings, then read from the cache folder; what is broken there is made
+    again. Raises DataError for a mesh that cannot be cut.
     """
     config = config or ConvexConfig()
     path = _cached_path(model, config)
-    if not path.is_file():
+    if not is_whole(path):
         parts = _decompose(model.mesh, config)
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-        os.close(handle)
-        write_parts(model, parts, Path(temporary))
-        os.replace(temporary, path)
+        with temporary_beside(path) as partial:
+            write_parts(model, parts, partial)
+            if not is_whole(partial):
+                raise DataError(f"{model.name}: its collision shape holds nothing; is the mesh flat?")
     return path
+
+
+def is_whole(path: Path) -> bool:
+    """Whether a file of parts is complete and finite: the simulator takes a NaN with a crash."""
+    try:
+        text = path.read_text(encoding="ascii")
+        parts = _read_parts(path)
+    except (OSError, ValueError, IndexError):
+        return False
+    return bool(parts) and text.endswith(END) and all(np.isfinite(part).all() for part in parts)
 
 
 def write_parts(model: ObjectModel, parts: Sequence[np.ndarray], path: Path) -> None:
@@ -71,7 +92,7 @@ def build_all(
     from tqdm import tqdm
 
     config = config or ConvexConfig()
-    missing = [model for model in models if not (model.parts or _cached_path(model, config).is_file())]
+    missing = [model for model in models if not (model.parts or is_whole(_cached_path(model, config)))]
     if not missing:
         return
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
@@ -80,7 +101,8 @@ def build_all(
 
 
 def _cached_path(model: ObjectModel, config: ConvexConfig) -> Path:
-    digest = hashlib.sha256(repr(sorted(asdict(config).items())).encode())
+    settings = {name: value for name, value in asdict(config).items() if name != "time_limit_s"}
+    digest = hashlib.sha256(repr((LAYOUT, sorted(settings.items()))).encode())
     digest.update(np.ascontiguousarray(model.mesh.vertices, np.float32).tobytes())
     digest.update(np.ascontiguousarray(model.mesh.faces, np.int64).tobytes())
     return cache_dir() / "convex_parts" / f"{digest.hexdigest()[:32]}.obj"
@@ -88,6 +110,8 @@ def _cached_path(model: ObjectModel, config: ConvexConfig) -> Path:
 
 def _decompose(mesh: trimesh.Trimesh, config: ConvexConfig) -> list[np.ndarray]:
     """Vertices (N, 3) of each convex part."""
+    if not (len(mesh.faces) and np.isfinite(mesh.vertices).all()):
+        raise DataError("a mesh without triangles, or with NaN or infinite vertices, has no collision shape")
     hull = mesh.convex_hull
     if mesh.volume > config.convex_above * hull.volume:
         return [np.asarray(hull.vertices)]
@@ -97,16 +121,26 @@ def _decompose(mesh: trimesh.Trimesh, config: ConvexConfig) -> list[np.ndarray]:
         repository = str(Path(__file__).resolve().parent.parent)
         command = [sys.executable, "-m", "sim_scenes.convex_parts", str(given), str(found)]
         command += [str(config.voxels), str(config.concavity)]
+        command += [str(os.getpid())]
         environment = {**os.environ, "OMP_NUM_THREADS": "1"}
         environment["PYTHONPATH"] = os.pathsep.join([repository, os.environ.get("PYTHONPATH", "")])
-        try:
-            subprocess.run(
-                command, env=environment, timeout=config.time_limit_s, check=True, capture_output=True
-            )
-            parts = _read_parts(found)
-        except (subprocess.TimeoutExpired, subprocess.CalledProcessError, OSError):
-            parts = []
-    return parts or [np.asarray(hull.vertices)]
+        for _ in range(ATTEMPTS):
+            try:
+                ended = subprocess.run(
+                    command, env=environment, timeout=config.time_limit_s, capture_output=True, text=True
+                )
+            except (subprocess.TimeoutExpired, OSError) as error:
+                raise DataError(
+                    f"cutting a mesh into convex parts did not end ({error}); try again"
+                ) from error
+            if ended.returncode == 0 and (parts := _read_parts(found)):
+                return parts
+    # Whoever was killed says nothing about the mesh; what fails by itself fails always.
+    if -ended.returncode in (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        raise DataError("cutting a mesh into convex parts was killed (out of memory?); try again")
+    if "ImportError" in ended.stderr or "ModuleNotFoundError" in ended.stderr:
+        raise DataError(f"cutting a mesh into convex parts failed: {ended.stderr.strip().splitlines()[-1]}")
+    return [np.asarray(hull.vertices)]
 
 
 def _pull_inside(points: np.ndarray, mesh: trimesh.Trimesh) -> np.ndarray:
@@ -163,7 +197,7 @@ def _as_obj(parts: list[np.ndarray]) -> str:
         lines += [f"v {x:.7f} {y:.7f} {z:.7f}" for x, y, z in corners]
         lines += [f"f {a} {b} {c}" for a, b, c in number[hull.simplices]]
         offset += len(corners)
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines) + "\n" + END
 
 
 def _cut(given: str, found: str, voxels: int, concavity: float) -> None:
@@ -182,4 +216,5 @@ def _cut(given: str, found: str, voxels: int, concavity: float) -> None:
 
 
 if __name__ == "__main__":
+    end_with_parent(int(sys.argv[5]))
     _cut(sys.argv[1], sys.argv[2], int(sys.argv[3]), float(sys.argv[4]))

@@ -102,7 +102,10 @@ OTHER = {
     "map.fit.max_iterations": 3,
 }
 """Values that must be felt, where half as much again is not enough."""
-TOGETHER = {"samples.shell": {"samples": {"prior": "none"}}}
+TOGETHER = {
+    "samples.shell": {"samples": {"prior": "none"}},
+    "mesh.smallest_part": {"mesh": {"keep_seen": False}},  # the small parts of this scene were seen, and stay
+}
 """Settings that act beside another one only; what the other must be."""
 
 

@@ -9,6 +9,7 @@ from scipy import ndimage
 from reconstruction.config import MeshConfig
 from reconstruction.surface.field import OUTSIDE, Field
 from reconstruction.surface.fusion import fuse
+from reconstruction.surface.parts import parts_to_keep
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
 from reconstruction.surface.seen_surface import SeenSurface
 from reconstruction.surface.vertices_apart import apart, off_the_surface
@@ -48,7 +49,10 @@ def extract_mesh(
         log_odds = log_odds.copy()
         kept = nodes_of_seen_cells(log_odds, corner, spacing, seen, 0.0, RULED_OUT)
         log_odds[kept] = SEEN_LOG_ODDS
-    found = closed_surface(log_odds, config.smallest_part)
+    cells = None
+    if seen is not None and config.keep_seen:
+        cells = np.floor(((seen - corner) / field.spacing - start) * (field.spacing / spacing)).astype(int)
+    found = closed_surface(log_odds, config.smallest_part, cells)
     if found is None:
         return None
     vertices, faces = found
@@ -59,10 +63,13 @@ def extract_mesh(
     return mesh, np.clip(at_vertices, 0, 1).astype(np.float32)
 
 
-def closed_surface(log_odds: np.ndarray, smallest_part: float) -> tuple[np.ndarray, np.ndarray] | None:
+def closed_surface(
+    log_odds: np.ndarray, smallest_part: float, cells: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray] | None:
     """Vertices (V, 3), in nodes, and triangles (F, 3) of the closed surface where log odds cross zero.
 
-    Parts smaller than `smallest_part` of the largest are dropped and voids filled; None without any inside.
+    Parts smaller than `smallest_part` of the largest are dropped, unless they were seen; cells: (N, 3), those
+    of seen points. Voids are filled; None without any inside.
     """
     from skimage.measure import marching_cubes
 
@@ -73,8 +80,8 @@ def closed_surface(log_odds: np.ndarray, smallest_part: float) -> tuple[np.ndarr
     log_odds = _without_voids(log_odds[occupied])
     parts, count = ndimage.label(log_odds > 0)
     boxes = ndimage.find_objects(parts)
-    sizes = np.bincount(parts.ravel())[1:]
-    kept = np.flatnonzero(sizes >= smallest_part * sizes.max())
+    within = None if cells is None else cells - [o.start for o in occupied]
+    kept = parts_to_keep(parts, smallest_part, within) - 1
     if len(kept) < count:
         log_odds = np.where((parts == 0) | np.isin(parts, kept + 1), log_odds, -0.01)
     start = np.min([[s.start for s in boxes[k]] for k in kept], axis=0)

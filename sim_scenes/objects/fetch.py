@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import gzip
+import http.client
 import json
 import os
 import shutil
 import tarfile
+import time
 import urllib.error
 import urllib.request
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from mapping.errors import DataError
+from mapping.files import write_atomically
 from sim_scenes.objects.ycb import MESH_FILE, default_ycb_dir
 
 BASE_URL = "http://ycb-benchmarks.s3-website-us-east-1.amazonaws.com/data/google"
@@ -22,6 +27,11 @@ CHECKSUM_FILE = "checksums.json"
 ATTEMPTS = 4
 """Tries per archive; each goes on where the last one was cut."""
 TIMEOUT_S = 30
+LONGEST_S = 1800.0
+"""Seconds after which an archive is given up for now; what came is kept for the next try."""
+LARGEST_ARCHIVE = 2**29
+LARGEST_UNPACKED = 2**31
+"""Bytes; the largest scan's archive has 60 MB."""
 
 YCB_IDS: tuple[str, ...] = (
     "002_master_chef_can",
@@ -114,8 +124,11 @@ def fetch_ycb(
         if (folder / model_id / MESH_FILE).is_file():
             continue
         archive = _download(url, f"{model_id}_google_16k.tgz", folder, progress)
-        extract(archive, folder, model_id)
-        archive.unlink()
+        try:
+            extract(archive, folder, model_id)
+            _remember(archive, folder)  # only what was whole is what later downloads are compared with
+        finally:
+            archive.unlink(missing_ok=True)
     return folder
 
 
@@ -134,23 +147,27 @@ def _download(url: str, name: str, folder: Path, progress: bool) -> Path:
             downloader=downloader,
         )
     except ValueError as error:  # pooch: the hash does not match
+        (folder / name).unlink(missing_ok=True)
         raise DataError(
             f"{url}/{name}: its checksum differs from the one recorded in {folder / CHECKSUM_FILE}; the file "
             "changed or was damaged. Delete the entry there if the change is expected"
         ) from error
-    if name not in known:
-        known[name] = pooch.file_hash(path)
-        temporary = folder / (CHECKSUM_FILE + ".tmp")
-        temporary.write_text(json.dumps(known, indent=1, sort_keys=True) + "\n")
-        temporary.rename(folder / CHECKSUM_FILE)
     return Path(path)
+
+
+def _remember(archive: Path, folder: Path) -> None:
+    import pooch
+
+    known = _checksums(folder)
+    known.setdefault(archive.name, pooch.file_hash(archive))
+    write_atomically(folder / CHECKSUM_FILE, (json.dumps(known, indent=1, sort_keys=True) + "\n").encode())
 
 
 def _checksums(folder: Path) -> dict[str, str]:
     path = folder / CHECKSUM_FILE
     try:
         return dict(json.loads(path.read_text())) if path.is_file() else {}
-    except ValueError as error:
+    except (ValueError, TypeError, RecursionError) as error:
         raise DataError(f"{path}: is not valid JSON ({error}); delete it to record checksums anew") from error
 
 
@@ -159,12 +176,14 @@ class ResumingDownloader:
 
     def __init__(self, progress: bool = True) -> None:
         self.progress = progress
+        self._end = float("inf")
 
     def __call__(self, url: str, output_file: Any, pooch: Any) -> None:
         """Download `url` to the path `output_file`; raises DataError when it cannot be completed."""
         # pooch hands over a temporary name that differs each time; the part must outlive the process.
         target = Path(output_file)
         part = target.parent / (url.rsplit("/", 1)[-1] + ".part")
+        self._end = time.monotonic() + LONGEST_S
         problem: Exception | None = None
         for _ in range(ATTEMPTS):
             try:
@@ -177,8 +196,8 @@ class ResumingDownloader:
                 elif error.code < 500:
                     raise DataError(f"{url}: the server answered {error.code} ({error.reason})") from error
                 problem = error
-            except (OSError, urllib.error.URLError) as error:
-                problem = error
+            except (OSError, http.client.HTTPException, ValueError) as error:
+                problem = error  # cut, or no answer of HTTP
         raise DataError(
             f"{url}: download failed after {ATTEMPTS} tries ({problem}); run the command again to go on from "
             "where it stopped"
@@ -194,6 +213,8 @@ class ResumingDownloader:
                 have = 0
             length = answer.headers.get("Content-Length")
             total = have + int(length) if length is not None else None
+            if total is not None and total > LARGEST_ARCHIVE:
+                raise DataError(f"{url}: {total >> 20} MB, more than any scan; is it the right address?")
             with (
                 open(part, "ab" if have else "wb") as stream,
                 tqdm(
@@ -208,6 +229,13 @@ class ResumingDownloader:
                 while chunk := answer.read(1 << 16):
                     stream.write(chunk)
                     bar.update(len(chunk))
+                    if time.monotonic() > self._end:
+                        raise DataError(
+                            f"{url}: not done after {LONGEST_S // 60:.0f} minutes; run the command again to "
+                            "go on from where it stopped"
+                        )
+                    if stream.tell() > LARGEST_ARCHIVE:
+                        raise DataError(f"{url}: never ends; is it the right address?")
         if total is not None and part.stat().st_size < total:
             raise ConnectionError(f"connection cut at {part.stat().st_size} of {total} bytes")
 
@@ -220,6 +248,7 @@ def extract(archive: Path, folder: Path, model_id: str) -> None:
     temporary = folder / f".{model_id}.{os.getpid()}.tmp"
     shutil.rmtree(temporary, ignore_errors=True)
     try:
+        _check_whole(archive)
         with tarfile.open(archive) as tar:
             members = tar.getmembers()
             for member in members:
@@ -238,12 +267,20 @@ def extract(archive: Path, folder: Path, model_id: str) -> None:
             raise DataError(f"{archive}: holds no {model_id}/{MESH_FILE}")
         shutil.rmtree(folder / model_id, ignore_errors=True)
         (temporary / model_id).rename(folder / model_id)
-    except (tarfile.TarError, EOFError, OSError) as error:
-        raise DataError(
-            f"{archive}: is not a readable archive ({error}); delete it and fetch again"
-        ) from error
+    except (tarfile.TarError, zlib.error, EOFError, ValueError, OSError) as error:
+        raise DataError(f"{archive}: is not a readable archive ({error}); fetch it again") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _check_whole(archive: Path) -> None:
+    """Read an archive to its very end, where its length and checksum stand: tar stops before."""
+    size = 0
+    with gzip.open(archive) as stream:
+        while block := stream.read(1 << 20):
+            size += len(block)
+            if size > LARGEST_UNPACKED:
+                raise DataError(f"{archive}: unpacks to more than {LARGEST_UNPACKED >> 20} MB; it is refused")
 
 
 def _check_member(member: tarfile.TarInfo, archive: Path, model_id: str) -> None:

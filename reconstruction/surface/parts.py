@@ -1,0 +1,28 @@
+"""Which separate parts of an object stay in its mesh. Knows lattices and points only."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from reconstruction.surface.seen_cells import CORNERS
+
+SEEN_POINTS = 15
+"""A part with this many seen points in its cells is no stray measurement: it stays however small it is."""
+
+
+def parts_to_keep(parts: np.ndarray, smallest: float, cells: np.ndarray | None) -> np.ndarray:
+    """Numbers of the parts that are large enough or were seen.
+
+    parts: (nx, ny, nz) the number of each node's part, 0 outside; smallest: share of the largest
+    part's nodes; cells: (N, 3) the lattice cells of seen points, None when nothing is known of them.
+    """
+    sizes = np.bincount(parts.ravel())
+    sizes[0] = 0
+    keep = sizes >= smallest * sizes.max()
+    keep[0] = False
+    if cells is not None and not keep[1:].all():
+        inside = ((cells >= 0) & (cells < np.array(parts.shape) - 1)).all(1)
+        nodes = cells[inside][:, None] + CORNERS  # (N, 8, 3)
+        owner = parts[tuple(np.moveaxis(nodes, -1, 0))].max(1)
+        keep |= (np.bincount(owner, minlength=len(sizes)) >= SEEN_POINTS) & (sizes > 0)
+    return np.flatnonzero(keep)
