@@ -15,6 +15,10 @@ from perception.quantiles import quantiles
 
 REST_LENGTH = 0.05
 """How fast a plane loses credit with the gap between it and the objects' lowest points [m]."""
+STEEP = 0.9
+"""Cosine between the line of sight and the plane's normal from which on objects hide their own feet."""
+HIDDEN_FOOT = 8
+"""Seen from straight above, `REST_LENGTH` is larger by this many times."""
 FIT_POINTS = 12_000
 """Points used by the least-squares refinement and the inlier ratio."""
 MINIMUM_SPREAD = 0.015
@@ -166,7 +170,11 @@ def _resting(groups: list[np.ndarray], normal: np.ndarray, offset: float, config
         height = group @ normal + offset
         above = float((height > -config.plane_threshold).mean())
         gap = max(0.0, float(quantiles(height, 0.05)[0]))
-        scores.append(max(0.0, 2 * above - 1) * np.exp(-((gap / REST_LENGTH) ** 2)))
+        middle = group.mean(0)
+        steep = abs(float(middle @ normal)) / max(float(np.linalg.norm(middle)), 1e-9)
+        # Seen from straight above, an object hides its own foot: a gap says nothing then.
+        rest = REST_LENGTH * (1 + HIDDEN_FOOT * max(0.0, steep - STEEP) / (1 - STEEP))
+        scores.append(max(0.0, 2 * above - 1) * np.exp(-((gap / rest) ** 2)))
     return float(np.mean(scores))
 
 
