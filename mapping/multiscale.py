@@ -30,7 +30,7 @@ class MultiscaleConfig(Checked):
     """Distance of hinge points at each scale [m]."""
     amplitudes: tuple[float, ...] = (0.3, 0.6, 1.0)
     """How readily each scale explains the data; small ones leave more to the wide kernels."""
-    width: Positive = 1.0
+    width: Positive = 1.5
     """gamma times the squared spacing."""
     stretch: tuple[float, ...] = (1.0, 1.0, 3.0)
     """Axes are stretched by this before kernels see them: things lie in layers, so a kernel is flat."""
@@ -55,6 +55,20 @@ class MultiscaleConfig(Checked):
 
 
 @dataclass(frozen=True)
+class Whole:
+    """What a part of the data must know of the whole. counts: (C,) points of each class; wrong: share of
+    labels that are wrong."""
+
+    counts: np.ndarray
+    wrong: float
+
+    def weights(self, balance: float) -> np.ndarray:
+        """(C,) weight of a sample of each class, one on average."""
+        rare = 1.0 / np.maximum(self.counts, 1) ** balance
+        return rare * (self.counts.sum() / (rare * self.counts).sum())
+
+
+@dataclass(frozen=True)
 class Hinges:
     """points: (H, d) in stretched coordinates; gamma, amplitude: (H,)."""
 
@@ -76,22 +90,36 @@ class MultiscaleMap:
         if not len(self.config.spacings) == len(self.config.amplitudes) > 0:
             raise ConfigError("spacings and amplitudes must be as many numbers, one of each a scale")
 
-    def fit(self, X: np.ndarray, y: np.ndarray, classes: int, rng: np.random.Generator) -> MultiscaleMap:
-        """Learn from points X (N, d) with labels y (N,) in 0..classes-1; rng draws the noise samples."""
+    def fit(
+        self,
+        X: np.ndarray,
+        y: np.ndarray,
+        classes: int,
+        rng: np.random.Generator,
+        whole: Whole | None = None,
+    ) -> MultiscaleMap:
+        """Learn from points X (N, d) with labels y (N,) in 0..classes-1; rng draws the noise samples.
+
+        whole: of the data that these points are a part of, so that parts fitted alone agree at their seams.
+        """
         config = self.config
         X, y = self._stretched(X), np.asarray(y, np.int64)
         if len(y) != len(X) or not len(X):
             raise DataError(f"wanted as many labels as points, and at least one; got {len(y)}, {len(X)}")
-        rare = 1.0 / np.maximum(np.bincount(y, minlength=classes), 1) ** config.class_balance
-        weights = rare[y] * (len(X) / rare[y].sum())
-        wrong = wrong_label_share(X, y, config.spacings[:2])
+        if whole is None:
+            whole = Whole(np.bincount(y, minlength=classes), wrong_label_share(X, y, config.spacings[:2]))
+        weights = whole.weights(config.class_balance)[y]
+        wrong, total = whole.wrong, int(whole.counts.sum())
         X, y, weights = merge_in_cells(X, y, weights, config.merge * config.spacings[0])
         X = X.astype(np.float32)
-        self._fit_samples(X, y, weights, classes, self._penalty(wrong), rng)
+        # The penalty stands beside a mean: a part with fewer samples needs a larger one for the same map.
+        share = total / weights.sum()
+        self._fit_samples(X, y, weights, classes, share * self._penalty(wrong), rng)
         if wrong > config.mend_from:
             kept = self._believed(X, y, wrong, classes)
             X, y, weights = X[kept], y[kept], weights[kept]
-            self._fit_samples(X, y, weights, classes, self._penalty(config.mend_from), rng)
+            left = 2 * config.wrong_label_share  # some wrong labels stay among the believed ones
+            self._fit_samples(X, y, weights, classes, share * self._penalty(left), rng)
         return self
 
     def _penalty(self, wrong: float) -> float:

@@ -17,6 +17,7 @@ from tools.map_frame import map_frame
 from tools.occupancy.command import occupancy
 from tools.reproduce import commands as reproduced
 from tools.scaling import scaling
+from tools.semantic.command import semantic
 from tools.serve import serve
 from tools.simulate import fetch_ycb, scenes
 from tools.view import view
@@ -45,6 +46,7 @@ COMMANDS: dict[str, Command] = {
     "map": map_frame,
     "view": view,
     "occupancy": occupancy,
+    "semantic": semantic,
     "export": export,
     "serve": serve,
     "scenes": scenes,

@@ -1,0 +1,72 @@
+"""Tasks on this machine's processes or on a Ray cluster; a worker that dies costs a retry, not the run.
+
+Knows functions of a job and a tile; must not know what they do.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+
+from mapping.errors import ConfigError, DataError
+from tools.semantic.tiles import Job
+
+Tile = tuple[int, int]
+Task = Callable[[Job, Tile], None]
+RETRIES = 3
+"""Times that a task is tried again after its worker died."""
+
+
+def run_tasks(
+    task: Task, job: Job, tiles: list[Tile], workers: int, engine: str, done: Callable[[], object]
+) -> None:
+    """Run a task for every tile; `done` is called after each. Raises DataError when workers keep dying."""
+    if engine == "ray":
+        _on_ray(task, job, tiles, workers, done)
+    elif workers == 1:
+        for tile in tiles:
+            task(job, tile)
+            done()
+    else:
+        _in_processes(task, job, tiles, workers, done)
+
+
+def _in_processes(task: Task, job: Job, tiles: list[Tile], workers: int, done: Callable[[], object]) -> None:
+    left = list(tiles)
+    for _ in range(RETRIES + 1):
+        with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+            futures = {pool.submit(task, job, tile): tile for tile in left}
+            try:
+                for future in as_completed(futures):
+                    future.result()
+                    left.remove(futures[future])
+                    done()
+                return
+            except BrokenProcessPool:
+                continue  # what is left is tried again with new workers
+    raise DataError(
+        f"workers died {RETRIES + 1} times, {len(left)} tiles are left; use fewer or smaller tiles"
+    )
+
+
+def _on_ray(task: Task, job: Job, tiles: list[Tile], workers: int, done: Callable[[], object]) -> None:
+    try:
+        import ray
+    except ImportError as error:
+        raise ConfigError("--engine ray needs ray: pip install 'contramap[cluster]'") from error
+    started = not ray.is_initialized()
+    if started:
+        ray.init(num_cpus=workers, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
+    try:
+        remote = ray.remote(num_cpus=1, max_retries=RETRIES)(task)
+        running = [remote.remote(job, tile) for tile in tiles]
+        while running:
+            (finished,), running = ray.wait(running, num_returns=1)
+            ray.get(finished)
+            done()
+    finally:
+        if started:
+            ray.shutdown()
