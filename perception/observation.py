@@ -64,6 +64,12 @@ class ObservedObject:
         axes = np.ascontiguousarray(self.outline.T)  # NumPy is slow at the least of a few numbers a row
         return axes.min(1), axes.max(1)
 
+    def reach(self, least: float, share: float) -> float:
+        """How far beyond what is seen of it an object may go on [m]: `least`, or `share` of its visible width
+        where that is more, so that the hidden part of a carton has as much room as that of a cup."""
+        low, high = self.bounds
+        return max(least, share * float((high - low)[:2].max()))
+
 
 @dataclass(frozen=True)
 class OtherSurface:
@@ -120,17 +126,21 @@ class Observation:
 
 
 def near_boxes(
-    points: np.ndarray, boxes: Sequence[tuple[np.ndarray, np.ndarray]], distance: float
+    points: np.ndarray, boxes: Sequence[tuple[np.ndarray, np.ndarray]], distance: float | Sequence[float]
 ) -> np.ndarray:
-    """Which points (N, 3) lie within `distance` [m] of any box, given by its two corners (3,): (N,) bool."""
+    """Which points (N, 3) lie within `distance` [m] of any box, given by its two corners (3,): (N,) bool.
+
+    distance: one for all boxes, or one a box.
+    """
+    reaches = [distance] * len(boxes) if isinstance(distance, float) else distance
     near = np.zeros(len(points), bool)
     for block in blocks(len(points)):
         axes = np.ascontiguousarray(points[block].T)
         first, last = axes.min(1), axes.max(1)
-        for low, high in boxes:
+        for (low, high), reach in zip(boxes, reaches):
             # Points come in the order of space: most boxes are far from a whole block.
-            if max((low - last).max(), (first - high).max()) < distance:
-                near[block] |= _near_box(axes, low, high, distance)
+            if max((low - last).max(), (first - high).max()) < reach:
+                near[block] |= _near_box(axes, low, high, reach)
     return near
 
 

@@ -43,6 +43,8 @@ class TabletopSamples(Checked):
 
     radius: Length = 0.16
     """The map covers this distance around each object's box [m]."""
+    radius_share: Share = 0.5
+    """It covers this share of the object's visible width, where that is more than `radius`."""
     coarse_spacing: LatticeSpacing = 0.05
     """Spacing of the hinge lattice over the whole covered space [m]."""
     coarse_gamma: Positive = 1000.0
@@ -160,6 +162,8 @@ class MeshConfig(Checked):
     """Lattice spacing [m]; also about the edge length of the triangles."""
     margin: Length = 0.10
     """The hidden part of an object is looked for this far beyond its visible points [m]."""
+    margin_share: Share = 0.4
+    """It is looked for as far as this share of its visible width, where that is more than `margin`."""
     floor: float | None = -0.0015
     """Nothing reaches below this height over the support plane [m]; None: meshes may."""
     smallest_part: Share = 0.05
@@ -223,7 +227,13 @@ def preset(
         config = PipelineConfig(
             samples=PaperSamples(),
             map=ModelConfig(empty_log_odds=2.0, fit=FitConfig(tolerance=3e-4)),
-            mesh=MeshConfig(floor=None, confined=False, keep_seen=False, fusion=FusionConfig(enabled=False)),
+            mesh=MeshConfig(
+                margin_share=0.0,
+                floor=None,
+                confined=False,
+                keep_seen=False,
+                fusion=FusionConfig(enabled=False),
+            ),
         )
     if device is not None:
         config = override(config, {"map": {"device": device}})

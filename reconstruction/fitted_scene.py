@@ -138,7 +138,8 @@ class FittedScene:
     @property
     def boxes(self) -> tuple[np.ndarray, np.ndarray]:
         """Where each object can be."""
-        return object_space(self.observation, self.config.mesh.margin)
+        mesh = self.config.mesh
+        return object_space(self.observation, mesh.margin, mesh.margin_share)
 
     @property
     def floor(self) -> float | None:
@@ -161,14 +162,17 @@ def generator(seed: int) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-def object_space(observation: Observation, margin: float) -> tuple[np.ndarray, np.ndarray]:
+def object_space(
+    observation: Observation, margin: float, share: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Boxes (K, 3), (K, 3) [m] in the table frame that hold every place where an object can be.
 
-    What is hidden of an object reaches no further than `margin` beyond what is seen of it, or down to its
-    support.
+    What is hidden of an object reaches no further than `margin` [m] beyond what is seen of it, or than
+    `share` of its visible width where that is more, or down to its support.
     """
     lows, highs = (np.array(b) for b in zip(*(o.bounds for o in observation.objects)))
-    lows, highs = lows - margin, highs + margin
+    reach = np.array([[item.reach(margin, share)] for item in observation.objects], lows.dtype)
+    lows, highs = lows - reach, highs + reach
     if observation.support is not None:
         lows[:, 2] = np.array([item.floor for item in observation.objects]) - BELOW_FLOOR
     return lows, highs

@@ -150,6 +150,9 @@ def test_weights_are_small_and_described():
     assert record["command"].startswith("python -m tools.train_prior")
     assert not set(record["training_families"]) & set(record["held_out_families"])
     assert record["scores"]["held_out_families"]["iou"] > 0.5
+    assert record["scores"]["held_out_meshes"]["iou"] > 0.6
+    assert "CC BY 4.0" in record["household"]["attribution"]
+    assert not any("mixed" in licence for licence in record["household"]["objects_by_source_and_licence"])
 
 
 def test_weights_survive_the_file_and_wrong_ones_are_named(tmp_path):
@@ -163,6 +166,33 @@ def test_weights_survive_the_file_and_wrong_ones_are_named(tmp_path):
     np.savez(tmp_path / "other.npz", something=np.zeros(3))
     with pytest.raises(DataError, match="another network"):
         OcclusionPrior.load(tmp_path / "other.npz")
+    with np.load(tmp_path / "weights.npz") as stored:
+        state = dict(stored)
+    made_for = json.loads(str(state["architecture"]))
+    made_for["point_channels"] = [*made_for["point_channels"][:-1], "smell"]
+    np.savez(tmp_path / "other.npz", **{**state, "architecture": np.array(json.dumps(made_for))})
+    with pytest.raises(DataError, match=r"other point_channels"):  # the same shapes, another meaning
+        OcclusionPrior.load(tmp_path / "other.npz")
+
+
+def test_another_prior_can_take_its_place(scene):
+    observation, space, _, points = scene
+
+    class Shell:
+        """Everything up to a centimetre behind a seen surface belongs to the first object."""
+
+        channels = ("behind",)
+
+        def distribution(self, visible, origin, evidence, points, floors=None):
+            filled = evidence(points, 0).behind < 0.01
+            rows = np.zeros((len(points), len(visible) + 1), np.float32)
+            rows[np.arange(len(points)), filled.astype(int)] = 1
+            return rows
+
+    rows = hidden_labels(observation, space, points, Shell())
+    np.testing.assert_array_equal(rows[:, 1] > 0.5, space.depth_behind(points) < 0.01)
+    prior = OcclusionPrior.load()
+    assert len(prior.channels) == len(set(prior.channels)) == prior.network.decoder[0].in_features - 24
 
 
 def test_plan_view_ends_where_the_seen_top_ends():

@@ -87,3 +87,60 @@ def test_training_lowers_the_loss_and_writes_both_files(tmp_path):
     assert json.loads(out.with_suffix(".json").read_text()) == record
     # Always answering one half costs log 2.
     assert record["scores"]["known_families"]["loss"] < np.log(2)
+
+
+def test_training_goes_on_from_weights_that_looked_at_less(tmp_path):
+    import torch
+
+    from reconstruction.prior.features import LATTICE, LATTICE_CHANNELS, RAY_CHANNELS
+    from reconstruction.prior.network import POINT_CHANNELS, WIDTHS
+    from reconstruction.prior.occlusion_prior import WEIGHTS_FILE
+    from tools.train_prior import started_from
+
+    with np.load(WEIGHTS_FILE) as stored:
+        state = {name: stored[name] for name in stored.files if name != "architecture"}
+    known = WIDTHS[0] + RAY_CHANNELS
+    state["decoder.0.weight"] = state["decoder.0.weight"][:, :known]
+    np.savez(tmp_path / "fewer.npz", **state)
+    network = started_from(tmp_path / "fewer.npz")
+    rng = torch.Generator().manual_seed(0)
+    features = network.encode(torch.rand((1, LATTICE_CHANNELS, *LATTICE), generator=rng))
+    local = torch.rand((1, 5, 3), generator=rng)
+    channels = torch.rand((1, 5, POINT_CHANNELS), generator=rng)
+    changed = channels.clone()
+    changed[..., RAY_CHANNELS:] = 0
+    assert torch.allclose(
+        network.decode(features, local, channels), network.decode(features, local, changed), atol=1e-5
+    )
+
+
+def test_household_meshes_to_learn_from_exclude_those_kept_to_judge_on(tmp_path):
+    import trimesh
+
+    from sim_scenes.objects.split import held_out
+    from sim_scenes.training.household import Household, Meshes, held_out_kinds, training_names
+
+    names = [f"{thing} number" for thing in ("mug", "pan", "tray", "vase", "pot", "cup", "jar", "tin", "bin")]
+    names += [f"{first} {second}" for first in names[:3] for second in ("lid", "foot")]
+    listed = []
+    for index, name in enumerate(names):
+        mesh = trimesh.creation.box([0.05, 0.06, 0.07 + 0.01 * index])
+        mesh.export(tmp_path / f"{name}.ply")
+        licence = "CC-BY-NC" if name == "cup number" else "MIT"
+        item = {"file": f"{name}.ply", "kind": "solid", "licence": licence}
+        listed.append({**item, "extents_m": list(mesh.extents), "volume_l": 1e3 * mesh.volume})
+    kept = [name for name in names if held_out(name)]
+    assert 0 < len(kept) < len(names)
+    twin = next(item for item in listed if held_out(item["file"]))
+    unfit = next(item for item in listed if not held_out(item["file"]) and item["licence"] == "MIT")
+    unfit.update(extents_m=twin["extents_m"][::-1], volume_l=twin["volume_l"])  # a copy under another name
+    (tmp_path / "SOURCES.json").write_text(json.dumps({"objects": listed}))
+    learned = training_names(tmp_path)
+    assert set(learned).isdisjoint(kept)
+    assert set(names) - set(kept) - set(learned) == {unfit["file"][:-4], "cup number"} - set(kept)
+    assert {name for name, _ in held_out_kinds(tmp_path)} == set(kept)
+    draw = Household(tmp_path, learned, 1.0)
+    shapes = [draw(np.random.default_rng(seed)) for seed in range(40)]
+    longest = [np.ptp(shape.parts[0].vertices, axis=0).max() for shape in shapes]
+    assert min(longest) < 0.06 < 0.25 < max(longest) < 0.61
+    assert Meshes(tmp_path, held_out_kinds(tmp_path))(np.random.default_rng(0)).family == "solid"

@@ -26,12 +26,14 @@ from sim_scenes.training.shapes import TrainingShape
 
 QUERIES = 1280
 """Points with truth kept of each object."""
-NEAR, BEHIND = 256, 512
+NEAR, BEHIND = 384, 448
 """How many of them lie right behind a visible point and further behind one; the others are anywhere."""
 NEAR_REACH = 0.02
 """Right behind a visible point: up to this far [m]. Whether a wall is thin is decided here."""
 REACH = 0.15
-"""Further behind: up to this far [m]."""
+"""Further behind: up to this far [m], or farther for large objects:"""
+REACH_SHARE = 0.6
+"""up to this share of the side of the object's box."""
 LEAST_BEHIND = 0.0005
 """Points must lie this far behind the first surface [m]."""
 
@@ -59,17 +61,27 @@ class Examples:
 
     def inputs(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Lattices (b, C, *LATTICE), local points (b, Q, 3), their channels (b, Q, P) and truth (b, Q)."""
-        lattices, points = [], []
+        return self.lattices(rows), *self.points(rows)
+
+    def lattices(self, rows: np.ndarray) -> np.ndarray:
+        """What the encoder sees (b, C, *LATTICE)."""
+        lattices = []
         for row in rows:
-            scalars = self.scalars[row][:, None]
             around = RayEvidence(self.behind[row], self.seen[row], self.inside[row])
-            of_points = RayEvidence(self.point_behind[row], self.point_seen[row], self.point_inside[row])
-            cells = channels(lattice_coordinates(), around, scalars)
+            cells = channels(lattice_coordinates(), around, self.scalars[row][:, None])
             held = self.surface[row][None].astype(np.float32)
             lattices.append(np.concatenate([cells, held]).reshape(-1, *LATTICE))
+        return np.stack(lattices)
+
+    def points(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What the decoder sees: local points (b, Q, 3) and their channels (b, Q, P), with truth (b, Q)."""
+        points = []
+        for row in rows:
+            of_points = RayEvidence(self.point_behind[row], self.point_seen[row], self.point_inside[row])
             plan = self.plan_distance[row].astype(np.float32), self.plan_above[row].astype(np.float32)
+            scalars = self.scalars[row][:, None]
             points.append(point_channels(self.local[row], of_points, scalars, *plan).T)
-        return np.stack(lattices), self.local[rows], np.stack(points), self.truth[rows].astype(np.float32)
+        return self.local[rows], np.stack(points), self.truth[rows].astype(np.float32)
 
 
 def make_examples(
@@ -171,7 +183,8 @@ def _hidden_points(box: ObjectBox, visible: np.ndarray, space: Space, rng: np.ra
     rays = shift_along_rays(space.origin, start, 1.0) - start
     share = rng.random((len(start), 1))
     near = start[: 2 * NEAR] + rays[: 2 * NEAR] * (NEAR_REACH * share[: 2 * NEAR])
-    behind = start[2 * NEAR :] + rays[2 * NEAR :] * (REACH * share[2 * NEAR :] ** 1.5)
+    reach = max(REACH, REACH_SHARE * box.size[0])
+    behind = start[2 * NEAR :] + rays[2 * NEAR :] * (reach * share[2 * NEAR :] ** 1.5)
     points = []
     for group, count in ((near, NEAR), (behind, BEHIND), (anywhere, QUERIES)):
         group = group.astype(np.float32)

@@ -1,14 +1,15 @@
-"""Trains the occlusion prior on procedural shapes: `python -m tools.train_prior --seed 0 --out FILE.npz`.
+"""Trains the occlusion prior: `python -m tools.train_prior --seed 0 --household DIR --out FILE.npz`.
 
-Makes scenes, trains, tests on shapes of held-out families, and writes the weights with a JSON file beside
-them: command, data recipe, versions and held-out scores. No scan of a real object is used.
+Makes scenes of procedural shapes and, where a folder is named, of household meshes of its part `train`;
+trains, tests on held-out shapes and objects, and writes the weights with a JSON file beside them: command,
+data, its licences, versions and held-out scores. YCB scans are never used.
 """
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -16,17 +17,24 @@ from time import perf_counter
 
 import numpy as np
 import torch
-from torch.nn import functional as F
 
+from mapping.errors import ConfigError
 from reconstruction.prior.network import PriorNetwork
 from reconstruction.prior.occlusion_prior import WEIGHTS_FILE, OcclusionPrior, save_weights
 from sim_scenes.objects.random_urdfs import draw_figure, figures_folder
+from sim_scenes.training.household import Household, Meshes, held_out_kinds, sources, training_names
 from sim_scenes.training.shapes import HELD_OUT_FAMILIES, TRAINING_FAMILIES, draw_shape
 from tools.exit_code import exit_code
 from tools.prior_data import Examples, make_examples
+from tools.prior_fit import fit, fit_decoder
+from tools.prior_scores import score
 
-Y_CHANNEL = 9
-"""The channel that changes its sign when left and right are exchanged."""
+PLACES = ("out", "cache", "workers", "household", "start")
+"""Settings that say where things are, not how the weights come about."""
+ATTRIBUTION = (
+    "Google Scanned Objects (Downs et al., 2022), Google Research, CC BY 4.0, "
+    "https://creativecommons.org/licenses/by/4.0/; simplified and closed for training"
+)
 
 
 @dataclass(frozen=True)
@@ -51,6 +59,14 @@ class TrainConfig:
     """Weight decay."""
     workers: int = 2
     """Processes that make the scenes; the scenes are the same for any number."""
+    household: Path | None = None
+    """Folder of household meshes to learn from as well, those of its part `train`; none by default."""
+    share: float = 0.6
+    """Share of the shapes that are household meshes, where their folder is named."""
+    start: Path | None = None
+    """Weights to start from, of this network or of one that looked at fewer things; random by default."""
+    decoder_only: bool = False
+    """Train what answers for single points, and keep what looks at the object as a whole."""
     cache: Path | None = None
     """Folder to keep the made examples in, and to take them from when they are there."""
 
@@ -64,8 +80,14 @@ def main() -> None:
 
 def train(config: TrainConfig) -> dict:
     """Make data, train, test, write. Returns what the JSON file holds."""
+    if config.decoder_only and config.start is None:
+        raise ConfigError("decoder_only needs weights to start from: name them with --start FILE")
     start = perf_counter()
-    known = partial(draw_shape, families=TRAINING_FAMILIES)
+    known: Callable = partial(draw_shape, families=TRAINING_FAMILIES)
+    learned_from = known
+    if config.household is not None:
+        names = training_names(config.household)
+        learned_from = Household(config.household, names, config.share)
     strange = partial(draw_shape, families=HELD_OUT_FAMILIES)
 
     def examples(name: str, draw: Callable, count: int, seed: int) -> Examples:
@@ -73,28 +95,37 @@ def train(config: TrainConfig) -> dict:
         return make_examples(count, draw, seed, f"{name} scenes", cache, config.workers)
 
     kept = config.cache and (config.cache / f"train_{config.scenes}_{config.seed}.npz").is_file()
-    training = examples("train", known, config.scenes, config.seed)
+    training = examples("train", learned_from, config.scenes, config.seed)
     tests = {
         "known_families": examples("known", known, config.test_scenes, config.seed + 10_000),
         "held_out_families": examples("strange", strange, config.test_scenes, config.seed + 20_000),
     }
     if figures_folder() is not None:
         tests["random_urdfs"] = examples("figures", draw_figure, config.test_scenes, config.seed + 30_000)
+    if config.household is not None:
+        judged = Meshes(config.household, held_out_kinds(config.household))
+        tests["held_out_meshes"] = examples("meshes", judged, 2 * config.test_scenes, config.seed + 40_000)
     made = perf_counter()
     torch.manual_seed(config.seed)
-    network = PriorNetwork(normalised=True)
-    fit(network, training, config, tests["known_families"])
-    save_weights(network.plain(), config.out)
+    network = PriorNetwork(normalised=True) if config.start is None else started_from(config.start)
+    (fit_decoder if config.decoder_only else fit)(network, training, config, tests["known_families"])
+    save_weights(network.plain() if config.start is None else network, config.out)
     written = OcclusionPrior.load(config.out).network
     record = {
         "command": "python -m tools.train_prior " + _options(config),
         "config": {
-            key: value for key, value in asdict(config).items() if key not in ("out", "cache", "workers")
+            key: value
+            for key, value in asdict(config).items()
+            if key not in ("out", "cache", "workers", "household", "start")
         },
+        "start": None if config.start is None else _record_of(config.start),
         "training_objects": len(training),
         "training_families": list(TRAINING_FAMILIES),
         "held_out_families": list(HELD_OUT_FAMILIES),
-        "data": "procedural shapes (sim_scenes/training/shapes.py) in random scenes; no scans",
+        "data": "procedural shapes (sim_scenes/training/shapes.py)"
+        + (" and household meshes" if config.household else "")
+        + " in random scenes; no YCB scans",
+        "household": None if config.household is None else _household_record(config.household),
         "scores": {name: score(written, examples) for name, examples in tests.items()},
         "data_s": None if kept else round(made - start),
         "train_s": round(perf_counter() - made),
@@ -109,101 +140,51 @@ def train(config: TrainConfig) -> dict:
     return record
 
 
-def fit(network: PriorNetwork, examples: Examples, config: TrainConfig, test: Examples) -> None:
-    """Minimise the cross-entropy at the examples' points."""
-    from tqdm import tqdm
-
-    rng = np.random.default_rng(config.seed)
-    steps = config.epochs * (len(examples) // config.batch)
-    optimiser = torch.optim.AdamW(network.parameters(), lr=config.rate, weight_decay=config.decay)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, config.rate, total_steps=max(steps, 2), pct_start=0.05, cycle_momentum=False
-    )
-    network.train()
-    progress = tqdm(total=steps, desc="training", mininterval=5)
-    for epoch in range(config.epochs):
-        total = 0.0
-        for rows in _batches(len(examples), config.batch, rng):
-            lattices, local, points, truth = _mirrored(*examples.inputs(rows), rng)
-            odds = network.decode(network.encode(lattices), local, points)
-            loss = F.binary_cross_entropy_with_logits(odds, truth)
-            optimiser.zero_grad()
-            loss.backward()
-            torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-            optimiser.step()
-            schedule.step()
-            progress.update()
-            total += loss.item()
-        mean = total / max(1, len(examples) // config.batch)
-        progress.write(f"epoch {epoch + 1}: loss {mean:.4f}, test {score(network, test)['loss']:.4f}")
-        network.train()
-    progress.close()
-    network.eval()
+def started_from(path: Path) -> PriorNetwork:
+    """A network with the weights of a file; what its decoder did not look at then has no influence yet."""
+    network = PriorNetwork()
+    state = network.state_dict()
+    with np.load(path) as stored:
+        for name, value in state.items():
+            old = torch.from_numpy(stored[name].astype(np.float32))
+            value.zero_()
+            value[tuple(slice(length) for length in old.shape)] = old
+    network.load_state_dict(state)
+    return network
 
 
-def score(network: PriorNetwork, examples: Examples) -> dict:
-    """Loss, IoU (mean over objects and by family), Brier score and calibration error at hidden points."""
-    network.eval()
-    odds = np.concatenate([_predict(network, examples, rows) for rows in _chunks(len(examples), 16)])
-    probability, truth = 1 / (1 + np.exp(-odds)), examples.truth
-    loss = np.logaddexp(0, odds) - truth * odds
-    inside = probability > 0.5
-    union = (inside | truth).sum(axis=1)
-    iou = (inside & truth).sum(axis=1)[union > 0] / union[union > 0]
-    families = examples.family[union > 0]
+def _record_of(weights: Path) -> dict:
+    """How the weights that training started from were made."""
+    record = json.loads(weights.with_suffix(".json").read_text())
+    wanted = ("command", "data", "start", "household", "torch", "numpy")
+    return {name: record[name] for name in wanted if name in record}
+
+
+def _household_record(folder: Path) -> dict:
+    """Whose meshes were learned from, by folder of the source, under which licences."""
+    listed = sources(folder)
+    names = [name for name in training_names(folder) if name in listed]
+    licences: dict[str, int] = {}
+    for name in names:
+        label = f"{listed[name]['file'].split('/')[0]}: {listed[name]['licence']}"
+        licences[label] = licences.get(label, 0) + 1
     return {
-        "objects": len(examples),
-        "loss": round(float(loss.mean()), 4),
-        "iou": round(float(iou.mean()), 4),
-        "brier": round(float(((probability - truth) ** 2).mean()), 4),
-        "ece": round(calibration_error(probability.ravel(), truth.ravel()), 4),
-        "iou_by_family": {
-            str(name): round(float(iou[families == name].mean()), 3) for name in np.unique(families)
-        },
+        "meshes": len(training_names(folder)),
+        "objects_by_source_and_licence": licences,
+        "attribution": ATTRIBUTION,
+        "held_out": "objects that sim_scenes.objects.split.held_out names",
     }
-
-
-def calibration_error(probability: np.ndarray, truth: np.ndarray, bins: int = 15) -> float:
-    """Mean gap between predicted and true share over bins of equal mass."""
-    order = np.argsort(probability, kind="stable")
-    groups = np.array_split(order, bins)
-    gaps = [abs(probability[group].mean() - truth[group].mean()) * len(group) for group in groups]
-    return float(np.sum(gaps) / len(order))
-
-
-def _predict(network: PriorNetwork, examples: Examples, rows: np.ndarray) -> np.ndarray:
-    lattices, local, points, _ = (torch.from_numpy(part) for part in examples.inputs(rows))
-    with torch.inference_mode():
-        return network.decode(network.encode(lattices), local, points).numpy()
-
-
-def _mirrored(
-    lattices: np.ndarray, local: np.ndarray, points: np.ndarray, truth: np.ndarray, rng: np.random.Generator
-) -> list[torch.Tensor]:
-    """Half of the objects with left and right exchanged: nothing in the world tells them apart."""
-    chosen = rng.random(len(lattices)) < 0.5
-    lattices[chosen] = lattices[chosen][:, :, :, ::-1]
-    lattices[chosen, Y_CHANNEL] *= -1
-    local[chosen, :, 1] *= -1
-    points[chosen, :, Y_CHANNEL] *= -1
-    return [torch.from_numpy(part) for part in (lattices, local, points, truth)]
 
 
 def _options(config: TrainConfig) -> str:
     """The options that make the same weights again."""
     wanted = ("seed", "scenes", "test_scenes", "epochs", "batch", "rate", "decay")
-    return " ".join(f"--{name.replace('_', '-')} {getattr(config, name):g}" for name in wanted)
-
-
-def _batches(count: int, size: int, rng: np.random.Generator) -> Iterator[np.ndarray]:
-    order = rng.permutation(count)
-    for start in range(0, count - size + 1, size):
-        yield np.sort(order[start : start + size])
-
-
-def _chunks(count: int, size: int) -> Iterator[np.ndarray]:
-    for start in range(0, count, size):
-        yield np.arange(start, min(start + size, count))
+    given = " ".join(f"--{name.replace('_', '-')} {getattr(config, name):g}" for name in wanted)
+    if config.household is not None:
+        given += f" --household DIR --share {config.share:g}"
+    if config.start is not None:
+        given += " --start FILE"
+    return given + " --decoder-only" if config.decoder_only else given
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from perception.observation import Observation
 from perception.space import Space
 from reconstruction.prior.features import BACKGROUND, OTHER, OWN, UNKNOWN, RayEvidence
 from reconstruction.prior.occlusion_prior import OcclusionPrior
+from reconstruction.prior.protocol import ShapePrior
 
 BORDER_REACH_PX = 48
 """Distances to an object's silhouette are worked out this far from it [px]; beyond, they are that far."""
@@ -114,7 +115,7 @@ class Border:
 
 
 def hidden_labels(
-    observation: Observation, space: Space, points: np.ndarray, prior: OcclusionPrior | None = None
+    observation: Observation, space: Space, points: np.ndarray, prior: ShapePrior | None = None
 ) -> np.ndarray:
     """What probably fills hidden points: (N, K+1) float32 over {empty, object 1..K}, K observed objects.
 

@@ -29,7 +29,28 @@ LEAST_HEIGHT = 0.02
 OWN, BACKGROUND, OTHER, UNKNOWN = 0, 1, 2, 3
 """What the ray through a point sees: the object itself, no object, another object, nothing measured."""
 
-RAY_CHANNELS = 18
+RAY_NAMES = (
+    "behind_8mm",
+    "behind_40mm",
+    "behind_over_side",
+    "sees_own",
+    "sees_other",
+    "sees_nothing",
+    "border_15mm",
+    "border_over_side",
+    "x",
+    "y",
+    "z",
+    "height_40mm",
+    "depth_under_top",
+    "log_side",
+    "log_height",
+    "slope",
+    "behind_3mm",
+    "height_10mm",
+)
+"""What each row of `channels` says."""
+RAY_CHANNELS = len(RAY_NAMES)
 LATTICE_CHANNELS = RAY_CHANNELS + 1
 
 

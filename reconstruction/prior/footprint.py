@@ -19,7 +19,8 @@ LEVELS = 8
 """Heights between the lowest and the highest visible point from which on the plan view is drawn."""
 LEAST_SPAN = 0.005
 """The levels span at least this height [m]."""
-FOOTPRINT_CHANNELS = 4
+FOOTPRINT_NAMES = ("plan_distance_12mm", "plan_distance_over_side", "top_over_point_15mm", "top_known")
+FOOTPRINT_CHANNELS = len(FOOTPRINT_NAMES)
 
 
 @dataclass(frozen=True)

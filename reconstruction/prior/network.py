@@ -8,17 +8,29 @@ from torch import nn
 from torch.nn import functional as F
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from reconstruction.prior.features import LATTICE_CHANNELS, RAY_CHANNELS
-from reconstruction.prior.footprint import FOOTPRINT_CHANNELS
+from reconstruction.prior.features import LATTICE, LATTICE_CHANNELS, RAY_NAMES
+from reconstruction.prior.footprint import FOOTPRINT_NAMES
 from reconstruction.prior.trilinear import corners
 
-POINT_CHANNELS = RAY_CHANNELS + FOOTPRINT_CHANNELS
+POINT_NAMES = (*RAY_NAMES, *FOOTPRINT_NAMES)
 """What is known of a single point: what the rays say, and the plan view."""
+POINT_CHANNELS = len(POINT_NAMES)
 
 WIDTHS = (24, 40, 64)
 """Channels at a half, a quarter and an eighth of the lattice's resolution."""
 HIDDEN = 48
 """Units in the point decoder's first layer."""
+
+
+def architecture() -> dict[str, object]:
+    """What weights must have been made for: stored beside them and compared when they are read."""
+    return {
+        "lattice": list(LATTICE),
+        "lattice_channels": [*RAY_NAMES, "surface"],
+        "point_channels": list(POINT_NAMES),
+        "widths": list(WIDTHS),
+        "hidden": HIDDEN,
+    }
 
 
 class PriorNetwork(nn.Module):

@@ -1,10 +1,12 @@
 """A prior for what is hidden: which object, if any, fills a point that no ray has reached.
 
-Learned from procedural shapes only (tools/train_prior.py); see prior_weights.json beside the weights.
+Learned from procedural shapes and household meshes (tools/train_prior.py); prior_weights.json beside the
+weights says which.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -23,18 +25,25 @@ from reconstruction.prior.features import (
     channels,
 )
 from reconstruction.prior.footprint import Footprint, footprint_channels
-from reconstruction.prior.network import PriorNetwork
+from reconstruction.prior.network import POINT_NAMES, PriorNetwork, architecture
 
 WEIGHTS_FILE = Path(__file__).with_name("prior_weights.npz")
+ARCHITECTURE = "architecture"
+"""Entry of a weights file that says which network it is for."""
 OUTSIDE = -12.0
 """Log odds of an object outside its box."""
 
 
 class OcclusionPrior:
-    """P(empty), P(object k) at hidden points of one frame."""
+    """P(empty), P(object k) at hidden points of one frame: the ShapePrior that comes with the project."""
 
     def __init__(self, network: PriorNetwork) -> None:
         self.network = network.eval()
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of what the decoder looks at, at a point."""
+        return POINT_NAMES
 
     @classmethod
     def load(cls, path: Path = WEIGHTS_FILE) -> OcclusionPrior:
@@ -147,7 +156,18 @@ def lattice_coordinates() -> np.ndarray:
 def _load(path: Path, modified: int) -> OcclusionPrior:
     network = PriorNetwork()
     with np.load(path) as stored:
-        state = {name: torch.from_numpy(stored[name].astype(np.float32)) for name in stored.files}
+        made_for = json.loads(str(stored[ARCHITECTURE])) if ARCHITECTURE in stored.files else None
+        state = {
+            name: torch.from_numpy(stored[name].astype(np.float32))
+            for name in stored.files
+            if name != ARCHITECTURE
+        }
+    if made_for != architecture():
+        differs = sorted(key for key, value in architecture().items() if (made_for or {}).get(key) != value)
+        raise DataError(
+            f"{path}: made for another network (other {', '.join(differs)}); train it again with "
+            "`python -m tools.train_prior`"
+        )
     try:
         network.load_state_dict(state)
     except RuntimeError as error:
@@ -156,10 +176,11 @@ def _load(path: Path, modified: int) -> OcclusionPrior:
 
 
 def save_weights(network: PriorNetwork, path: Path) -> None:
-    """Write the weights of a plain network in half precision: under 1 MB."""
+    """Write the weights of a plain network in half precision, with what they are for: under 1 MB."""
     state = {
         name: value.detach().cpu().numpy().astype(np.float16) for name, value in network.state_dict().items()
     }
+    state[ARCHITECTURE] = np.array(json.dumps(architecture()))
     temporary = path.with_name(path.name + ".tmp.npz")
     np.savez(temporary, **state)
     temporary.rename(path)

@@ -41,10 +41,11 @@ class Scope:
     ) -> list[Scope]:
         """Scopes for all objects: each the box around its objects, no deeper than their support."""
         scopes = []
-        for group in groups(observation, config.radius):
+        for group in groups(observation, config.radius, config.radius_share):
             items = tuple(observation.objects[index] for index in group)
             seen = np.concatenate([item.outline for item in items])
-            low, high = seen.min(0) - config.radius, seen.max(0) + config.radius
+            radius = max(item.reach(config.radius, config.radius_share) for item in items)
+            low, high = seen.min(0) - radius, seen.max(0) + radius
             floor = items[0].floor
             if observation.support is not None:
                 low[2] = floor
@@ -58,9 +59,13 @@ class Scope:
         """Whether a support plane was found: nothing of an object is below `floor`."""
         return self.observation.support is not None
 
-    def near(self, points: np.ndarray, distance: float) -> np.ndarray:
-        """Which points (N, 3) lie within `distance` [m] of one of the scope's objects' boxes: (N,) bool."""
-        return near_boxes(points, [item.bounds for item in self.items], distance)
+    def near(self, points: np.ndarray, distance: float, share: float = 0.0) -> np.ndarray:
+        """Which points (N, 3) lie near one of the scope's objects' boxes: (N,) bool.
+
+        Near is within `distance` [m], or within `share` of the object's visible width where that is more.
+        """
+        reaches = [item.reach(distance, share) for item in self.items]
+        return near_boxes(points, [item.bounds for item in self.items], reaches)
 
     def cover(
         self, spacing: float, low: np.ndarray | None = None, high: np.ndarray | None = None
@@ -68,7 +73,7 @@ class Scope:
         """Jittered samples (M, 3) of a box, the whole one by default, within `radius` of an object's box."""
         low, high = self.low if low is None else low, self.high if high is None else high
         points = jittered_lattice(low, high, spacing, self.rng)
-        return points[self.near(points, self.config.radius)]
+        return points[self.near(points, self.config.radius, self.config.radius_share)]
 
     def classify(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which points (N, 3) are known to be empty, and which are hidden: (N,) bool each."""
@@ -77,14 +82,15 @@ class Scope:
         return empty, (region == Region.OCCLUDED) | (region == Region.OUT_OF_VIEW)
 
 
-def groups(observation: Observation, radius: float) -> list[list[int]]:
-    """Indices of the objects in groups of one support whose surroundings, `radius` [m] wide, meet."""
+def groups(observation: Observation, radius: float, share: float = 0.0) -> list[list[int]]:
+    """Indices of the objects in groups of one support whose surroundings meet: `radius` [m] wide, or `share`
+    of an object's visible width where that is more."""
     objects = observation.objects
     group = list(range(len(objects)))
     for b, item in enumerate(objects):
         low, high = item.bounds
         for a, other in enumerate(objects[:b]):
             gap = max((other.bounds[0] - high).max(), (low - other.bounds[1]).max())
-            if item.floor == other.floor and gap < 2 * radius:
+            if item.floor == other.floor and gap < item.reach(radius, share) + other.reach(radius, share):
                 group = [group[a] if of == group[b] else of for of in group]
     return [[k for k, of in enumerate(group) if of == name] for name in dict.fromkeys(group)]

@@ -46,6 +46,8 @@ class SceneConfig:
     """Shapes lie within this distance of the table's centre."""
     distance_m: tuple[float, float] = (0.4, 1.2)
     """Nearest and farthest camera."""
+    nearest_m: float = 0.15
+    """Scenes with anything nearer to the camera are drawn again: no depth camera sees that."""
     elevation_deg: tuple[float, float] = (14.0, 75.0)
     """Lowest and highest viewing angle."""
     table_m: tuple[float, float] = (0.35, 1.5)
@@ -54,6 +56,10 @@ class SceneConfig:
     """Image widths, at an aspect of 4 to 3."""
     focal_share: tuple[float, float] = (0.8, 1.15)
     """Focal length as a share of the image width."""
+    off_centre: float = 0.3
+    """Share of scenes that the camera does not look at the middle of: the image's border cuts objects."""
+    target_m: tuple[float, float] = (0.05, 0.3)
+    """The camera looks at a point within this distance of the middle [m]: usually, and off centre."""
     noisy: float = 0.55
     """Share of scenes with sensor noise."""
     noisy_labels: float = 0.35
@@ -93,7 +99,8 @@ def make_training_scene(
     visible = np.bincount(labels.ravel(), minlength=len(shapes) + 1)
     kept = {label: shape for label, shape in enumerate(shapes, 1) if visible[label] >= LEAST_PIXELS}
     labels[~np.isin(labels, list(kept))] = 0
-    if not kept:
+    too_near = np.nanmin(depth, initial=np.inf) < config.nearest_m
+    if not kept or too_near:
         return make_training_scene(draw, rng, config)
     if rng.random() < config.noisy_labels:
         labels = noisy_labels(labels, rng)
@@ -236,7 +243,8 @@ def _camera(rng: np.random.Generator, config: SceneConfig) -> Camera:
     focal = width * rng.uniform(*config.focal_share)
     K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
     azimuth, elevation = rng.uniform(0, 2 * np.pi), np.deg2rad(rng.uniform(*config.elevation_deg))
-    target = np.array([*rng.uniform(-0.05, 0.05, 2), 0.04])
+    reach = config.target_m[int(rng.random() < config.off_centre)]
+    target = np.array([*rng.uniform(-reach, reach, 2), 0.04])
     away = np.array(
         [np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)]
     )

@@ -58,7 +58,8 @@ class FittedMap(ABC):
     def meshes(self, view: View) -> list[Surface | None]:
         """The surface of each observed object, taken as the project takes its own from a lattice."""
         config = MeshConfig(fusion=FusionConfig(enabled=False))
-        field = self.field(*object_space(view.observation, config.margin), config.spacing)
+        boxes = object_space(view.observation, config.margin, config.margin_share)
+        field = self.field(*boxes, config.spacing)
         seen = [item.points if self.keeps_seen else None for item in view.observation.objects]
         extracted = (extract_mesh(field, index, config, points) for index, points in enumerate(seen))
         return [found and Surface(*found) for found in extracted]

@@ -1,0 +1,55 @@
+"""How good a prior's network is at hidden points of objects whose truth is known.
+
+Knows examples and networks; knows nothing of how either was made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import torch
+
+from reconstruction.prior.network import PriorNetwork
+from tools.prior_data import Examples
+
+
+def score(network: PriorNetwork, examples: Examples) -> dict:
+    """Loss, IoU (mean over objects and by family), Brier score and calibration error at hidden points."""
+    network.eval()
+    odds = np.concatenate([_predict(network, examples, rows) for rows in chunks(len(examples), 16)])
+    probability, truth = 1 / (1 + np.exp(-odds)), examples.truth
+    loss = np.logaddexp(0, odds) - truth * odds
+    inside = probability > 0.5
+    union = (inside | truth).sum(axis=1)
+    iou = (inside & truth).sum(axis=1)[union > 0] / union[union > 0]
+    families = examples.family[union > 0]
+    return {
+        "objects": len(examples),
+        "loss": round(float(loss.mean()), 4),
+        "iou": round(float(iou.mean()), 4),
+        "brier": round(float(((probability - truth) ** 2).mean()), 4),
+        "ece": round(calibration_error(probability.ravel(), truth.ravel()), 4),
+        "iou_by_family": {
+            str(name): round(float(iou[families == name].mean()), 3) for name in np.unique(families)
+        },
+    }
+
+
+def calibration_error(probability: np.ndarray, truth: np.ndarray, bins: int = 15) -> float:
+    """Mean gap between predicted and true share over bins of equal mass."""
+    order = np.argsort(probability, kind="stable")
+    groups = np.array_split(order, bins)
+    gaps = [abs(probability[group].mean() - truth[group].mean()) * len(group) for group in groups]
+    return float(np.sum(gaps) / len(order))
+
+
+def _predict(network: PriorNetwork, examples: Examples, rows: np.ndarray) -> np.ndarray:
+    lattices, local, points, _ = (torch.from_numpy(part) for part in examples.inputs(rows))
+    with torch.inference_mode():
+        return network.decode(network.encode(lattices), local, points).numpy()
+
+
+def chunks(count: int, size: int) -> Iterator[np.ndarray]:
+    for start in range(0, count, size):
+        yield np.arange(start, min(start + size, count))
