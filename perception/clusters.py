@@ -57,12 +57,12 @@ def main_clusters(
         for piece in candidate[np.argsort(-size[candidate], kind="stable")]:
             name = int(owner[piece])
             core, part = own[(keep[cluster]) & (label == name)], own[cluster == piece]
-            start, end = _closest_pair(core, part)
+            start, end = closest_pair(core, part)
             gap = float(np.linalg.norm(end - start))
             near = NEAR_SHARE * float(np.linalg.norm(np.ptp(np.quantile(core, [0.05, 0.95], axis=0), axis=0)))
             if gap > config.split_gap:
                 continue
-            keep[piece] = (leak[piece] < LEAK_SHARE and gap < near) or _covered(
+            keep[piece] = (leak[piece] < LEAK_SHARE and gap < near) or covered(
                 start, end, name, flat, raw, camera, config
             )
     return keep[cluster]
@@ -138,7 +138,7 @@ def _leak_share(
     return np.bincount(of, weights=leak, minlength=count) / np.maximum(1, np.bincount(of, minlength=count))
 
 
-def _closest_pair(main: np.ndarray, piece: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def closest_pair(main: np.ndarray, piece: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """About the closest points (3,) of two point sets (N, 3) and (M, 3), looked for among some of them."""
     from scipy.spatial import cKDTree
 
@@ -148,7 +148,7 @@ def _closest_pair(main: np.ndarray, piece: np.ndarray) -> tuple[np.ndarray, np.n
     return main[nearest[closest]], piece[closest]
 
 
-def _covered(
+def covered(
     start: np.ndarray,
     end: np.ndarray,
     label: int,

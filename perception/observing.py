@@ -6,7 +6,8 @@ import numpy as np
 
 from mapping.errors import FrameError
 from perception.camera import Camera, transform
-from perception.checks.scene import check_depth, check_support, screen_labels
+from perception.checks.label_regions import LabelRegion
+from perception.checks.scene import check_depth, check_support, screen_labels, split_numbers
 from perception.cleaning import clean_labels
 from perception.config import PerceptionConfig
 from perception.depth_edges import remove_flying_pixels
@@ -53,8 +54,9 @@ def observe(frame: Frame, config: PerceptionConfig | None = None, seed: int = 0)
     points = camera.back_project(depth)
     labels = frame.labels
     aside: list[Skipped] = []
+    regions: list[LabelRegion] = []
     if labels is not None:
-        labels, aside, found_odd = screen_labels(frame, points, config)
+        labels, regions, aside, found_odd = screen_labels(frame, points, config)
         notes += found_odd
     if labels is None:
         rough = find_support_plane(points, None, config, rng) if config.use_plane else None
@@ -67,7 +69,10 @@ def observe(frame: Frame, config: PerceptionConfig | None = None, seed: int = 0)
         notes.append("no support plane: the table frame is the camera frame")
     levels = Levels((0.0,), {}, frozenset())
     if support is not None:
-        notes += check_support(frame, points, labels, support)
+        notes += check_support(frame, regions, support)
+        if frame.labels is not None:
+            labels, frame, found_odd = split_numbers(frame, points, labels, regions, support, config)
+            notes += found_odd
         levels = find_levels(points, labels, support, camera, config)
     cleaned = clean_labels(points, labels, support, camera, config, levels.floors)
     found, skipped = _split_objects(frame, labels, cleaned, points, config)

@@ -132,7 +132,9 @@ class Reconstruction:
     def agreement(self) -> dict[int, Agreement]:
         """What the frame, as it was given, says of each object's mesh, by label. Measured when asked for."""
         frame = self.frame
-        labels = self.observation.labels if frame.labels is None else frame.labels
+        labels = own = self.observation.labels
+        if frame.labels is not None:  # numbers of further things of one label are the largest
+            labels = np.where(own > frame.labels.max(), own, frame.labels)
         meshes = {item.label: item.mesh for item in self.objects}
         T_camera_world = invert_rigid(frame.camera.T_world_camera)
         return agreement_with_depth(

@@ -14,9 +14,9 @@ from mapping.errors import FrameError
 from perception.camera import Camera
 from perception.checks.label_regions import LabelRegion
 
-SAMPLE = 1_500
+SAMPLE = 800
 """Pixels looked at."""
-TRIALS = 100
+TRIALS = 60
 """Planes tried for each kind."""
 TOLERANCE = 0.02
 """A pixel lies in the plane within this share of the spread of values."""

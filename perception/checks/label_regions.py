@@ -9,8 +9,8 @@ import numpy as np
 
 from perception.grouping import group_by_label
 
-SAMPLE = 2_000
-"""Points looked at of each label."""
+ALL, SAMPLE = 12_000, 1_000
+"""Points looked at of all labels together, and of each label."""
 TRIM = (0.05, 0.95)
 """Sizes are taken between these quantiles, because masks bleed."""
 FEWEST = 30
@@ -19,8 +19,8 @@ FEWEST = 30
 
 @dataclass(frozen=True)
 class LabelRegion:
-    """The measured pixels of one label. points: (N, 3) [m, camera frame], some of them; pixels: how many
-    there are.
+    """The measured pixels of one label. points: (N, 3) [m, camera frame], some
+    of them.
 
     distance: median depth [m]. sides: (3,) [m] along the principal axes, largest first. centre, normal: (3,)
     of the plane through the points. flat_share: share of the points within `thickness` of that plane.
@@ -28,7 +28,6 @@ class LabelRegion:
 
     label: int
     points: np.ndarray
-    pixels: int
     distance: float
     sides: np.ndarray
     centre: np.ndarray
@@ -43,16 +42,18 @@ def label_regions(points: np.ndarray, labels: np.ndarray) -> list[LabelRegion]:
     """The regions of all labels with enough measured pixels; points (H, W, 3) [m], labels (H, W)."""
     flat, raw = points.reshape(-1, 3), labels.reshape(-1)
     pixels = np.flatnonzero((raw > 0) & np.isfinite(flat[:, 2]))
+    step = 1 + len(pixels) // ALL
+    pixels = pixels[::step]
     found = []
     for label, group in group_by_label(raw[pixels]):
-        if len(group) < FEWEST:
+        if len(group) * step < FEWEST or len(group) < 3:
             continue
         own = flat[pixels[group[:: 1 + len(group) // SAMPLE]]].astype(np.float64)
-        found.append(_region(int(label), own, len(group)))
+        found.append(_region(int(label), own))
     return found
 
 
-def _region(label: int, own: np.ndarray, pixels: int) -> LabelRegion:
+def _region(label: int, own: np.ndarray) -> LabelRegion:
     distance = float(np.median(own[:, 2]))
     low, high = np.quantile(own, TRIM, axis=0)
     inner = own[((own >= low) & (own <= high)).all(1)]
@@ -62,4 +63,4 @@ def _region(label: int, own: np.ndarray, pixels: int) -> LabelRegion:
     axes = np.linalg.eigh(np.cov((inner - centre).T))[1]
     a, b = np.quantile((own - centre) @ axes, TRIM, axis=0)
     order = np.argsort(a - b)
-    return LabelRegion(label, own, pixels, distance, (b - a)[order], centre, axes[:, 0])
+    return LabelRegion(label, own, distance, (b - a)[order], centre, axes[:, 0])

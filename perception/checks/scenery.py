@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from perception.checks.label_regions import LabelRegion, label_regions
+from perception.checks.label_regions import LabelRegion
 from perception.config import PerceptionConfig
 
 FAR_MORE, FAR_TIMES = 2.5, 3.0
@@ -35,13 +35,12 @@ BIN = 0.02
 
 
 def set_aside(
-    points: np.ndarray, labels: np.ndarray, config: PerceptionConfig
+    points: np.ndarray, labels: np.ndarray, regions: list[LabelRegion], config: PerceptionConfig
 ) -> tuple[np.ndarray, list[tuple[int, str]]]:
     """Labels (H, W) without scenery, and (label, reason) of what was set aside.
 
-    points: (H, W, 3) [m] in the camera frame. Never sets everything aside.
+    points: (H, W, 3) [m] in the camera frame; regions: of the labels. Never sets everything aside.
     """
-    regions = label_regions(points, labels)
     reasons = {**_far(regions), **_large(regions)}
     near = [item for item in regions if item.label not in reasons]
     for item in regions:

@@ -99,6 +99,7 @@ def bop_images(folder: str | Path) -> list[tuple[int, int]]:
     """(scene, image) of every image of a split folder that has truth, in order. Raises DataError."""
     root = Path(folder)
     scenes = sorted(path.parent for path in root.glob("[0-9]*/scene_gt.json"))
+    scenes = scenes or sorted(path.parent for path in root.glob("*/[0-9]*/scene_gt.json"))
     if not scenes:
         raise DataError(f"{root}: no scene of BOP's layout (folders 000001/ with scene_gt.json) in it")
     return [
@@ -112,6 +113,9 @@ def scene_folder(folder: Path, scene: int) -> Path:
     """The folder of a scene; FrameError names those that are there."""
     place = folder / f"{scene:06d}"
     if not place.is_dir():
+        below = sorted(folder.glob(f"*/{scene:06d}"))
+        if len(below) == 1:  # the data set's root was given, and one split has the scene
+            return below[0]
         raise FrameError(f"{folder}: holds no scene {scene:06d}; it has {_some(folder)}")
     return place
 

@@ -13,6 +13,10 @@ LEAST_PIXELS = 20
 """... if they have so many pixels together."""
 BORDER_SHARE = 0.1
 """... and are this share of the labels' borders: single thin strips are things half hidden."""
+LEAST_CORE = 12
+"""A true number has so many pixels without another number beside them."""
+JPEG_ERROR, JPEG_TIMES = 8, 5
+"""A number this near to one with so many times its pixels is JPEG's error."""
 REACH = 2
 """Pixels this near are looked at for a lower and a higher number [px]."""
 
@@ -31,9 +35,10 @@ def without_slivers(image: np.ndarray) -> tuple[np.ndarray, int, list[int]]:
     small, large = np.ones((3, 3), np.uint8), np.ones((2 * REACH + 1,) * 2, np.uint8)
     low, high = cv2.erode(image, small), cv2.dilate(image, small)
     edge = low != high
-    if not ((image > low) & (image < high)).any():
-        return image, 0, []
     between = (image > cv2.erode(image, large)) & (image < cv2.dilate(image, large))
+    enough = max(LEAST_PIXELS, BORDER_SHARE * int((edge & (image > 0)).sum()))
+    if int((edge & between).sum()) < enough:
+        return image, 0, []
     pieces = _pieces(image)
     count = int(pieces.max()) + 1
     size = np.bincount(pieces.reshape(-1), minlength=count)
@@ -42,16 +47,33 @@ def without_slivers(image: np.ndarray) -> tuple[np.ndarray, int, list[int]]:
     sliver = (core == 0) & (inside > BETWEEN_SHARE * size)
     sliver[0] = False
     changed = sliver[pieces] & (image > 0)
-    if sliver.sum() < LEAST_SLIVERS or changed.sum() < max(
-        LEAST_PIXELS, BORDER_SHARE * (edge & (image > 0)).sum()
-    ):
+    if sliver.sum() < LEAST_SLIVERS or changed.sum() < enough:
         return image, 0, []
     from scipy.ndimage import distance_transform_edt
 
-    rows, columns = distance_transform_edt(changed, return_distances=False, return_indices=True)
+    whole = np.isin(image, _true_numbers(image[~edge])) & (core[pieces] > 0)
+    rows, columns = distance_transform_edt(~whole, return_distances=False, return_indices=True)
     mended = image[rows, columns]
+    changed = mended != image
     vanished = sorted(set(np.unique(image[changed]).tolist()) - set(np.unique(mended).tolist()))
     return mended, int(changed.sum()), vanished
+
+
+def _true_numbers(inner: np.ndarray) -> list[int]:
+    """The numbers that objects have, from the pixels (N,) without another number beside them.
+
+    JPEG puts patches of 19 and 21 into an object 20: where most numbers have a much larger neighbour among
+    the numbers, only the large ones are true.
+    """
+    numbers, count = np.unique(inner, return_counts=True)
+    enough = (count >= LEAST_CORE) | (numbers == 0)
+    numbers, count = numbers[enough].astype(np.int64), count[enough]
+    large: list[int] = []
+    for index in np.argsort(-count):
+        near = [other for other in large if abs(other - numbers[index]) <= JPEG_ERROR]
+        if not near or count[index] * JPEG_TIMES > count[numbers == near[0]][0]:
+            large.append(int(numbers[index]))
+    return large if 2 * len(large) <= len(numbers) else numbers.tolist()
 
 
 def _pieces(image: np.ndarray) -> np.ndarray:

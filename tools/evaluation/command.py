@@ -15,9 +15,10 @@ DEFAULT_METHODS = ("contramap", "contramap-paper", "hilbert", "tsdf")
 
 
 def evaluate(
-    scenes: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENES")],
+    scenes: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="SCENES")] = None,
     *,
     out: Path,
+    bop: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     methods: tuple[str, ...] = DEFAULT_METHODS,
     seeds: tuple[int, ...] = (0, 1, 2),
     limit: int | None = None,
@@ -37,6 +38,7 @@ def evaluate(
     Args:
         scenes: Folder made by `contramap scenes`.
         out: Folder for results.jsonl, summary.json, table.md, figures and report.html.
+        bop: Split folder of a data set in BOP's layout (such as ycbv/test), instead of SCENES.
         methods: contramap (preset tabletop), contramap-paper, hilbert, bayesian-hilbert, vprism,
             vprism-dense (no feature dropped: for its time), vprism-bound (alpha as the bound has it), tsdf.
         seeds: Seeds of every method's own sampling.
@@ -49,11 +51,19 @@ def evaluate(
         gallery: Scenes shown in the report's gallery; 0 makes none.
         json: Also write the summary to this file.
     """
+    from mapping.errors import ConfigError
     from tools.evaluation.job import Job
     from tools.evaluation.methods import method
 
     for name in methods:
         method(name)
+    if (scenes is None) == (bop is None):
+        raise ConfigError("give either SCENES or --bop DIR")
+    if bop is not None:
+        from tools.evaluation.bop_scenes import scenes_of_bop
+
+        scenes = scenes_of_bop(bop, out / "bop_scenes", limit)
+    assert scenes is not None
     folders = find_scenes(scenes, limit)
     unique = tuple(dict.fromkeys(methods))
     jobs = [Job(folder, seeds, unique, out, ycb, threads) for folder in folders]
