@@ -105,14 +105,17 @@ def _parts_of(mesh: trimesh.Trimesh, config: CollisionConfig, process: CoacdProc
     points = _read(path)
     if points is None:
         points = _cut(mesh, config, process)
-        _write(path, points)
+        if points:
+            _write(path, points)
+        else:  # failed this time, on a busy machine perhaps: not kept
+            points = [np.asarray(mesh.convex_hull.vertices)]
     hulls = tuple(hull for part in points if (hull := convex_hull(part)) is not None)
     missing, excess = parts_error(mesh, hulls)
     return ConvexParts(hulls, missing, excess)
 
 
 def _cut(mesh: trimesh.Trimesh, config: CollisionConfig, process: CoacdProcess) -> list[np.ndarray]:
-    """Vertices (N, 3) of each part."""
+    """Vertices (N, 3) of each part; [] when it took too long or failed."""
     hull = mesh.convex_hull
     if max(parts_error(mesh, (hull,))) <= config.convex_within:
         return [np.asarray(hull.vertices)]
@@ -130,7 +133,7 @@ def _cut(mesh: trimesh.Trimesh, config: CollisionConfig, process: CoacdProcess) 
     simple, manifold = simplified(mesh, config.simplify)
     if not manifold:
         settings["preprocess_mode"] = "on"
-    return process.cut(simple, settings, config.time_limit_s) or [np.asarray(hull.vertices)]
+    return process.cut(simple, settings, config.time_limit_s)
 
 
 def simplified(mesh: trimesh.Trimesh, tolerance: float) -> tuple[trimesh.Trimesh, bool]:
