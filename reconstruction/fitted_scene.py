@@ -100,7 +100,7 @@ class FittedScene:
         """What was measured of all objects, to be fused with the map; None where the surface is the map's."""
         if not self.config.mesh.fusion.enabled:
             return None
-        return SeenSurface.of(self.observation, self.frame.depth, self.floor)
+        return SeenSurface.of(self.observation, self.frame.depth, self.floors)
 
     @cached_property
     def meshes(self) -> list[Surface | None]:

@@ -75,7 +75,7 @@ def box_view() -> Observation:
 
 def test_distances_follow_the_rays() -> None:
     observation = box_view()
-    edges = SeenSurface.of(observation, floor=-0.0015).edges(0)
+    edges = SeenSurface.of(observation, floors=[-0.0015]).edges(0)
     item = observation.objects[0]
     origin = SeenSurface.of(observation).T_camera_table
     eye = -origin[:3, :3].T @ origin[:3, 3]
@@ -103,7 +103,7 @@ def fused_shell(wall: float = 0.004) -> tuple[Observation, object]:
     shape = tuple(np.ceil((high - low) / 0.005).astype(int) + 1)
     field = Field(low, 0.005, [window_of(low, 0.005, shape, low, high)], [], np.ones(shape, np.float32))
     field = replace(field, log_odds=[np.full(field.uncertainty[field.windows[0]].shape, -5, np.float32)])
-    seen = SeenSurface.of(observation, floor=-0.0015)
+    seen = SeenSurface.of(observation, floors=[-0.0015])
     config = MeshConfig(fusion=FusionConfig(wall=wall))
     found = extract_mesh(field, 0, config, item.points, seen)
     assert found is not None

@@ -5,6 +5,7 @@ Knows one observation; knows nothing of maps, lattices or meshes. Points are in 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -51,8 +52,8 @@ class SeenSurface:
 
     owner: (H, W) int32 index of the object a pixel belongs to, BACKGROUND or NOT_MEASURED;
     depth: (H, W) float32 [m]; planes: (H * W, 4) float32, (n, c) of the plane n . x = c each pixel sees,
-    n away from the camera, zero where no object was measured; noise: of the depth at 1 m [m]; floor: no
-    object is below this height [m], None where unknown.
+    n away from the camera, zero where no object was measured; noise: of the depth at 1 m [m]; floors: each
+    object is above its height [m], None where unknown.
     """
 
     camera: Camera
@@ -61,19 +62,19 @@ class SeenSurface:
     depth: np.ndarray
     planes: np.ndarray
     noise: float
-    floor: float | None
+    floors: Sequence[float] | None
 
     @classmethod
     def of(
         cls,
         observation: Observation,
         raw_depth: np.ndarray | None = None,
-        floor: float | None = None,
+        floors: Sequence[float] | None = None,
     ) -> SeenSurface:
         """The surfaces that an observation shows.
 
         raw_depth: (H, W) [m] before pixels between two surfaces were removed: rays passed as far as those,
-        too. None: the observation's own. floor: no object is below this height [m].
+        too. None: the observation's own. floors: no object is below its height [m].
         """
         camera, depth = observation.camera, observation.depth
         if raw_depth is not None:
@@ -88,7 +89,7 @@ class SeenSurface:
         planes = np.zeros((depth.size, 4), np.float32)
         planes[pixels, :3] = own[:, :3] @ T[:3, :3].astype(np.float32)
         planes[pixels, 3] = own[:, 3] - own[:, :3] @ T[:3, 3].astype(np.float32)
-        return cls(camera, T, owner, depth, planes, noise, floor)
+        return cls(camera, T, owner, depth, planes, noise, floors)
 
     @cached_property
     def projection(self) -> tuple[np.ndarray, np.ndarray]:
@@ -168,9 +169,9 @@ class Edges:
 
     def above_floor(self, height: np.ndarray) -> np.ndarray:
         """How far heights (N,) are above the floor [m], FAR where none is known."""
-        if self.seen.floor is None:
+        if self.seen.floors is None:
             return np.full(len(height), np.float32(FAR))
-        return height - np.float32(self.seen.floor)
+        return height - np.float32(self.seen.floors[self.index])
 
     def _beside(
         self,
