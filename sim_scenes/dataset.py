@@ -101,19 +101,15 @@ def write_scene(
     settings: dict[str, Any],
     rng: np.random.Generator,
     config: TabletopConfig,
-    depth_scale: float = DEPTH_SCALE,
 ) -> None:
-    """Render objects at rest from each camera and write the scene; the folder appears only when complete.
-
-    depth_scale: metres per unit of depth.png.
-    """
+    """Render objects at rest from each camera and write the scene; the folder appears only when complete."""
     surroundings = Surroundings.random(config.table_size_m, rng)
     renderer = Renderer(placed, surroundings)
     views = [".", *(f"views/{view}" for view in range(1, len(cameras)))]
     with staged_folder(folder, last=TRUTH_FILE) as partial:
         for camera, view in zip(cameras, views):
             frame = _frame(renderer, camera, placed, rng, settings)
-            save_frame(frame, partial / view, depth_scale)
+            save_frame(frame, partial / view, DEPTH_SCALE)
         _write_truth(partial, placed, source, settings, views)
 
 

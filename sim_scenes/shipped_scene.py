@@ -25,10 +25,8 @@ SHIPPED = Path(__file__).with_name("shipped_scene.zip")
 FAMILIES = ("box", "can", "bottle", "mug", "fruit", "banana", "blocks", "bowl")
 """Families of objects on the table; meshes that come with other packages are not among them."""
 SEED = 3
-IMAGE_SCALE = 0.6
+IMAGE_SCALE = 0.5
 """Pixels along each side, as a share of the simulated camera's 640 x 480."""
-DEPTH_SCALE = 5e-4
-"""Metres per unit of depth.png; coarser than the scenes' own, so that the file stays small."""
 FACES = 1500
 """Triangles kept of each true mesh."""
 
@@ -69,7 +67,7 @@ def make(path: Path, seed: int = SEED) -> None:
     settings = {"seed": seed, "objects": "builtin", "views": 1, "sensor_noise": False, "label_noise": False}
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(folder) / "scene"
-        write_scene(scene, placed, [small], source, settings, rng, config, DEPTH_SCALE)
+        write_scene(scene, placed, [small], source, settings, rng, config)
         for mesh, item in zip(sorted((scene / "meshes").iterdir()), placed, strict=True):
             _lighter(item.model).save(mesh)
         _pack(scene, path)

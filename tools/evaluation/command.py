@@ -142,6 +142,7 @@ def finish(jobs: list[Job], failures: list[dict[str, str]], gallery: int, json_f
     from tools.evaluation.summary import json_lines, summarise
     from tools.evaluation.table import all_tables
     from tools.options import write_json
+    from tools.provenance import with_provenance
     from tools.runs.failures import RunsFailed
 
     out = jobs[0].out
@@ -156,7 +157,7 @@ def finish(jobs: list[Job], failures: list[dict[str, str]], gallery: int, json_f
     write_json(summary, json_file)
     write_atomically(out / "results.jsonl", json_lines(results).encode())
     tables = all_tables(summary)
-    write_atomically(out / "table.md", ("\n\n".join(tables) + "\n").encode())
+    write_atomically(out / "table.md", with_provenance("Evaluation", "\n\n".join(tables)))
     figures = write_figures(results, out / "figures")
     picture = make_gallery(jobs, gallery)
     write_report(summary, figures, picture, out / "report.html")

@@ -9,7 +9,9 @@ from typing import Annotated, Any
 import tyro
 
 from mapping.errors import ConfigError
+from mapping.files import write_atomically
 from tools.options import write_json
+from tools.provenance import with_provenance
 
 JsonFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
 
@@ -41,7 +43,7 @@ def toy(
     from tools.reproduce.toy_methods import METHODS
 
     summary = run_toy(out, sets or TOY_SETS, methods or METHODS, _seeds(seed, repeats), overwrite=overwrite)
-    _report(summary, toy_table(summary), out / "uncertainty.png", json)
+    _report(summary, "Toy sets", toy_table(summary), out, out / "uncertainty.png", json)
 
 
 def occupancy(
@@ -92,7 +94,7 @@ def occupancy(
         config,
         overwrite,
     )
-    _report(summary, occupancy_table(summary), out, json)
+    _report(summary, "Occupancy maps", occupancy_table(summary), out, out, json)
 
 
 def semantic(
@@ -175,7 +177,7 @@ def hinges(
     summary = run_hinges(
         data, out, log, counts, methods or METHODS, _seeds(seed, repeats), overwrite=overwrite
     )
-    _report(summary, hinges_table(summary), out / "hinges.png", json)
+    _report(summary, "Number of hinge points", hinges_table(summary), out, out / "hinges.png", json)
 
 
 def _seeds(first: int, repeats: int) -> tuple[int, ...]:
@@ -184,7 +186,11 @@ def _seeds(first: int, repeats: int) -> tuple[int, ...]:
     return tuple(range(first, first + repeats))
 
 
-def _report(summary: dict[str, Any], table: str, figure: Path, json: Path | None) -> None:
+def _report(
+    summary: dict[str, Any], title: str, table: str, out: Path, figure: Path, json: Path | None
+) -> None:
+    write_atomically(out / "table.md", with_provenance(title, table))
     print(table)
+    print(f"table: {out / 'table.md'}")
     print(f"figures: {figure}")
     write_json(summary, json)
