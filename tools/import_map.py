@@ -1,7 +1,7 @@
 """Which module imports which, read from the source: lists circles and draws docs/figures/imports.png.
 
-Knows files and their import statements; runs none of them. Imports for type checkers alone do not count, for they
-never happen; imports within functions do.
+Knows files and their import statements; runs none of them. Imports for type checkers alone do not count, for
+they never happen; imports within functions do.
 """
 
 from __future__ import annotations

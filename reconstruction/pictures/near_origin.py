@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import trimesh
 
-from reconstruction.result import Reconstruction
+if TYPE_CHECKING:
+    from reconstruction.result import Reconstruction
 
 FAR = 100.0
 """Beyond this distance from the origin [m] single precision moves vertices by more than 4 micrometres."""
