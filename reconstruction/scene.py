@@ -8,6 +8,7 @@ from time import perf_counter
 
 import numpy as np
 import trimesh
+from trimesh.visual import ColorVisuals
 
 from mapping.errors import DataError
 from perception.camera import transform
@@ -15,6 +16,7 @@ from perception.frame import Frame
 from perception.observation import ObservedObject, Skipped
 from reconstruction.config import PipelineConfig
 from reconstruction.fitted_scene import FittedScene, Surface
+from reconstruction.pictures.palette import uncertainty_colours
 from reconstruction.result import ObjectField, OtherObstacles, ReconstructedObject, Reconstruction
 from reconstruction.surface.field import Field, overlap, window_of, within
 
@@ -117,6 +119,9 @@ def _place(
     local = np.asarray(surface.mesh.vertices)
     T_table_object, extents = upright_box(local)
     mesh = trimesh.Trimesh(transform(T_world_table, local), surface.mesh.faces, process=False)
+    # So that mesh.export("x.ply") keeps them.
+    mesh.visual = ColorVisuals(mesh, vertex_colors=uncertainty_colours(surface.uncertainty))
+    mesh.vertex_attributes["uncertainty"] = np.asarray(surface.uncertainty, np.float32)
     return ReconstructedObject(
         label=item.label,
         name=item.name,

@@ -68,3 +68,13 @@ def test_a_folder_that_does_not_say_what_its_columns_are(result, folder, tmp_pat
     stored = load_result(old)
     with pytest.raises(DataError, match="map_labels"):
         stored.query(np.zeros((1, 3)))
+
+
+def test_an_exported_ply_keeps_uncertainty_and_colours(result, tmp_path):
+    import trimesh
+
+    item = result.objects[0]
+    item.mesh.export(tmp_path / "mesh.ply")
+    raw = trimesh.load(tmp_path / "mesh.ply", process=False).metadata["_ply_raw"]["vertex"]["data"]
+    np.testing.assert_array_equal(raw["uncertainty"].ravel(), item.uncertainty)
+    assert len(np.unique(np.stack([raw[name].ravel() for name in ("red", "green", "blue")], 1), axis=0)) > 1
