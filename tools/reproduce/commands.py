@@ -140,7 +140,7 @@ def semantic(
         _seeds(seed, repeats),
         overwrite=overwrite,
     )
-    _report(summary, semantic_table(summary), out, json)
+    _report(summary, "Semantic maps", semantic_table(summary), out, out, json)
 
 
 def hinges(
