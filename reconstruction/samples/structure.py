@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from perception.observation import Observation
+from perception.observation import Observation, ObservedObject
 from perception.space import Space
 from reconstruction.config import TabletopSamples
 from reconstruction.prior.evidence import hidden_labels
@@ -23,6 +23,10 @@ COVERED = 0.5
 """It lies on something else where that stands under more than this share of it."""
 REACH_DOWN = 0.75
 """Such an object goes down to its support with this probability where it is above: unsure, but there."""
+STEEP = 0.9
+"""Cosine between the line of sight and the support's normal from which on a top hides the foot under it."""
+BORDER = 2
+"""An object whose pixels come this near to the image's border goes on beyond it [px]."""
 JUST_UNDER = 0.006
 """Where an object is above is asked this far under the end of its visible part [m]."""
 BEFORE_GUESS = 0.7
@@ -53,10 +57,25 @@ def _objects(
         guess = hidden_labels(observation, space, points)
         gaps = [item.bounds[0][2] - item.floor for item in observation.objects]
         for index in np.argsort(gaps, kind="stable"):  # the lowest first: what lies on top rests on them
-            if gaps[index] > FOOT_GAP:
+            item = observation.objects[index]
+            if gaps[index] > FOOT_GAP and (_seen_from_above(item, space) or _cut_off(item, observation)):
                 _reach_down(observation, space, int(index), points, guess)
         return guess
     return _shell(observation, config.shell, points)
+
+
+def _seen_from_above(item: ObservedObject, space: Space) -> bool:
+    """Whether an object is seen so steeply that its top hides its foot."""
+    sight = space.origin - np.mean(item.bounds, axis=0)
+    return bool(sight[2] > STEEP * np.linalg.norm(sight))
+
+
+def _cut_off(item: ObservedObject, observation: Observation) -> bool:
+    """Whether an object goes on beyond the image."""
+    height, width = observation.depth.shape
+    rows, columns = np.divmod(item.pixels, width)
+    ends = rows.min(), height - 1 - rows.max(), columns.min(), width - 1 - columns.max()
+    return bool(min(ends) < BORDER)
 
 
 def _reach_down(
