@@ -15,6 +15,8 @@ from perception.checks.intrinsics import check_intrinsics
 
 PLAUSIBLE_DEPTH = (0.05, 20.0)
 """Median depth [m] outside this range means that the unit is wrong."""
+FARTHEST = 1e4
+"""Depth [m] beyond this is no measurement, but bytes read as one."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class Frame:
                 f"got {depth.dtype} {depth.shape}"
             )
         depth = depth.astype(np.float32)  # a copy: the caller's array stays as it was
-        depth[~(np.isfinite(depth) & (depth > 0))] = np.nan
+        depth[~((depth > 0) & (depth < FARTHEST))] = np.nan
         depth, found = without_sentinels(depth)
         found += check_intrinsics(self.camera, self.source, "K" in self.trust)
         if found:

@@ -76,6 +76,11 @@ def test_mutated_frames_are_mapped_or_refused(good: Path, tmp_path: Path) -> Non
     assert set(counts) == {"mapped", "refused"}
 
 
+def test_bytes_read_as_depth_are_no_measurement(good: Path, tmp_path: Path) -> None:
+    """A byte more in depth.npy makes every number another one, some of them 1e30 m."""
+    assert try_one(good, tmp_path / "frame", 1662)[0] in ("mapped", "refused")
+
+
 @pytest.mark.slow
 def test_2000_mutated_frames(good: Path, tmp_path: Path) -> None:
     """In a process of its own with 2 GB of memory more than it starts with."""

@@ -181,6 +181,7 @@ def test_kept_results_need_their_keys(tmp_path: Path) -> None:
 FORK = """
 import hashlib, os, sys, torch
 import numpy as np
+from conftest import make_tabletop
 from reconstruction import reconstruct
 torch.set_num_threads(2)
 frame = make_tabletop(size=(160, 120)).frame
