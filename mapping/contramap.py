@@ -141,11 +141,11 @@ class ContraMap:
         return out
 
     def _logits_of_scales(self, X: np.ndarray) -> torch.Tensor:
-        """Logits (N, C+1) of a map with widths far apart: from the same sparse features as in the fit."""
+        """Logits (N, C+1) of a map with widths far apart, from sparse features that keep all that matter."""
         out = self.offset.repeat(len(X), 1)
         for start in range(0, len(X), QUERIES):
             part = X[start : start + QUERIES]
-            features = sparse_features(part, self.hinges, self.gamma, self.config.fit_cutoff, self.device)
+            features = sparse_features(part, self.hinges, self.gamma, PREDICT_CUTOFF, self.device)
             out[features.order + start] += features.times(self.W)
         return out
 
