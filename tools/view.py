@@ -14,7 +14,6 @@ import tyro
 
 from mapping.errors import ConfigError, DataError
 from reconstruction.files.output_folder import RECORDING
-from reconstruction.files.stored import load_result
 
 
 def view(result: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULT")]) -> None:
@@ -45,8 +44,10 @@ def find_recording(result: Path) -> Path:
     recording = result / RECORDING
     if recording.is_file():
         return recording
-    stored = load_result(result)
+    from reconstruction.files.stored import load_result
     from reconstruction.pictures.recording import record_stored
+
+    stored = load_result(result)
 
     try:
         record_stored(stored, recording)
