@@ -40,6 +40,7 @@ from tools.evaluation.statistics import (
 from tools.evaluation.summary import json_lines, paired_tests, read_results, summarise
 from tools.evaluation.table import markdown, shape_rows
 from tools.evaluation.uncertainty_card import distance_to_samples, uncertainty_card
+from tools.runs.failures import RunsFailed
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
@@ -246,7 +247,8 @@ def test_a_broken_scene_is_reported_and_the_rest_go_on(scenes: Path, tmp_path: P
     failures = [failure for job in jobs for failure in run_job(job)]
     assert [(failure["scene"], failure["method"]) for failure in failures] == [("scene_0000", "tsdf")]
     assert "depth.png" in failures[0]["error"]
-    finish(jobs, failures, 0, None)
+    with pytest.raises(RunsFailed, match="1 of 2 runs failed"):
+        finish(jobs, failures, 0, None)
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["scenes"] == 1
     assert summary["failures"] == failures

@@ -78,7 +78,9 @@ def test_wrong_labels_are_mended():
     test, truth = street(500, seed=3)
     for uncertain in (True, False):
         model = MultiscaleMap(uncertain=uncertain).fit(X, noisy, 3, np.random.default_rng(1))
-        assert (model.predict_known(test)[0].argmax(1) == truth).mean() > 0.9
+        assert (
+            model.predict_known(test)[0].argmax(1) == truth
+        ).mean() > 0.85  # of labels that are right in 0.7
 
 
 def test_disagreement_counts_the_others_of_a_cell():

@@ -88,7 +88,7 @@ def _check_settings(command: Command, arguments: Sequence[str]) -> None:
     settings = inspect.signature(command).parameters.get("settings")
     for word, following in zip(arguments, [*arguments[1:], ""]) if settings else ():
         name, given, value = word.partition("=")
-        if settings and name.startswith("--") and "." in name:
+        if settings and name.startswith("--") and ("." in name or hasattr(settings.default, name[2:])):
             dotted = name[2:].replace("-", "_")
             override(settings.default, nested_setting(f"{dotted}={value if given else following}"))
 
