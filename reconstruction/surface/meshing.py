@@ -88,9 +88,9 @@ def closed_surface(
     stop = np.max([[s.stop for s in boxes[k]] for k in kept], axis=0)
     first = np.maximum(start - 1, 0)
     values = log_odds[tuple(slice(a, b + 1) for a, b in zip(first, stop))]
-    if not (values > 0).any():
-        return None
     padded = np.pad(off_the_surface(values), 1, constant_values=OUTSIDE)
+    if not (padded > 0).any():
+        return None  # no more than a touch of the surface
     vertices, faces, _, _ = marching_cubes(padded, 0.0, gradient_direction="ascent", allow_degenerate=False)
     return apart(vertices) - 1 + first + [o.start for o in occupied], faces
 
