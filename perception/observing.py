@@ -34,6 +34,8 @@ LITTLE_MEASURED = 0.5
 """An object less of whose mask is measured than this is named in a note."""
 NOISY = 0.25
 """What is smaller than its depth noise over this share has no shape that could be mapped."""
+BEYOND = 0.005
+"""A guessed surface lies no farther than this beyond 98 % of what was measured of its object [m]."""
 HORIZONTAL_LEAST = 0.15
 """Below this horizontal share of the viewing direction the camera looks straight down."""
 
@@ -91,20 +93,24 @@ def observe(frame: Frame, config: PerceptionConfig | None = None, seed: int = 0)
     for label, pixels, labelled in found:
         silhouette = unmeasured.get(label, NO_PIXELS)
         guessed = silhouette[np.isfinite(guess.reshape(-1)[silhouette])]
+        own = transform(T_table_camera, flat[pixels])
         rays = camera.rays.reshape(-1, 3)[guessed]
+        places = transform(T_table_camera, rays * guess.reshape(-1)[guessed, None])
+        stray = _astray(own, places)
+        guess.reshape(-1)[guessed[stray]] = np.nan
         objects.append(
             ObservedObject(
                 label=label,
                 name=frame.name_of(label),
-                points=transform(T_table_camera, flat[pixels]),
+                points=own,
                 pixels=pixels,
                 labelled=labelled,
                 dropped=labelled - len(pixels),
                 floor=levels.floors.get(label, 0.0),
                 rests=label in levels.found,
                 silhouette=silhouette,
-                guessed=guessed,
-                guessed_points=transform(T_table_camera, rays * guess.reshape(-1)[guessed, None]),
+                guessed=guessed[~stray],
+                guessed_points=places[~stray],
             )
         )
         if len(pixels) < LITTLE_MEASURED * labelled:
@@ -127,6 +133,15 @@ def observe(frame: Frame, config: PerceptionConfig | None = None, seed: int = 0)
         seen=seen,
         guess=guess if np.isfinite(guess).any() else None,
     )
+
+
+def _astray(points: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Which guessed places (M, 3) lie beyond nearly all of what was measured of their object: (M,) bool.
+
+    Holes at the rim of a mask take after stray pixels beside them. points: (N, 3) [m] measured, same frame.
+    """
+    low, high = np.stack([quantiles(column, 0.01, 0.99) for column in points.T], axis=1)
+    return np.asarray(((places < low - BEYOND) | (places > high + BEYOND)).any(1))
 
 
 def _without(

@@ -7,7 +7,10 @@ import numpy as np
 from reconstruction.surface.seen_cells import CORNERS
 
 SEEN_POINTS = 15
-"""A part with this many seen points in its cells is no stray measurement: it stays however small it is."""
+"""A part with this many seen points in its cells, and this share of them all, is no stray measurement: it
+stays however small it is."""
+SEEN_SHARE = 0.02
+"""Real masks bleed: what holds less of an object's seen points, away from the rest, is mostly not its own."""
 
 
 def parts_to_keep(parts: np.ndarray, smallest: float, cells: np.ndarray | None) -> np.ndarray:
@@ -24,5 +27,6 @@ def parts_to_keep(parts: np.ndarray, smallest: float, cells: np.ndarray | None) 
         inside = ((cells >= 0) & (cells < np.array(parts.shape) - 1)).all(1)
         nodes = cells[inside][:, None] + CORNERS  # (N, 8, 3)
         owner = parts[tuple(np.moveaxis(nodes, -1, 0))].max(1)
-        keep |= (np.bincount(owner, minlength=len(sizes)) >= SEEN_POINTS) & (sizes > 0)
+        least = max(SEEN_POINTS, SEEN_SHARE * len(cells))
+        keep |= (np.bincount(owner, minlength=len(sizes)) >= least) & (sizes > 0)
     return np.flatnonzero(keep)
