@@ -30,13 +30,13 @@ format: $(STAMP)
 
 $(DEMO): pyproject.toml constraints.txt
 	@$(MAKE) --no-print-directory environment
-	@echo "Installing ContraMap with its simulator and viewer into $(VENV): 4 to 7 GB, most of it torch and its CUDA libraries; this takes a while."
+	@echo "Installing ContraMap with its simulator and viewer into $(VENV): about 7 GB on Linux, most of it torch's CUDA libraries, 4 GB where torch comes without them. pip lists each download; it takes minutes."
 	$(PIP) -e '.[sim,viz]'
 	@touch $@
 
 $(STAMP): pyproject.toml constraints.txt
 	@$(MAKE) --no-print-directory environment
-	@echo "Installing ContraMap with all that its tests need into $(VENV): 4 to 8 GB, most of it torch and its CUDA libraries; this takes a while."
+	@echo "Installing ContraMap with all that its tests need into $(VENV): about 8 GB on Linux, most of it torch's CUDA libraries, 5 GB where torch comes without them. pip lists each download; it takes minutes."
 	$(PIP) -e '.[dev]'
 	@touch $(DEMO) $@
 

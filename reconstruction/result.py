@@ -32,8 +32,9 @@ SENSOR_TOLERANCE = 0.005
 class ReconstructedObject:
     """One object's surface with uncertainty, in the world frame.
 
-    mesh: watertight trimesh [m]; uncertainty: (V,) float32 p(uncertain) in [0, 1] at each vertex;
-    class_index: the object's column in the map's probabilities (1-based; 0 is empty space);
+    mesh: watertight trimesh [m]; its export("x.ply") keeps uncertainty and colours, other formats may not;
+    uncertainty: (V,) float32 p(uncertain) in [0, 1] at each vertex; class_index: the object's column in the
+    map's probabilities (1-based; 0 is empty space);
     T_world_object: (4, 4) pose of the object's box: origin at its centre, z along the support normal;
     extents: (3,) box size [m] along the axes of T_world_object.
     """
@@ -53,6 +54,14 @@ class ReconstructedObject:
     @property
     def watertight(self) -> bool:
         return bool(self.mesh.is_watertight and self.mesh.is_winding_consistent)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the mesh, as the result folder has it: .ply in double precision with uncertainty and colours,
+        or .obj. Returns the path. Raises ConfigError for another ending, DataError when writing fails."""
+        from reconstruction.files.mesh_files import write_mesh
+
+        write_mesh(self.mesh, self.uncertainty, Path(path))
+        return Path(path)
 
     def __repr__(self) -> str:
         size = " x ".join(f"{1e3 * side:.0f}" for side in self.extents)

@@ -8,7 +8,6 @@ from time import perf_counter
 
 import numpy as np
 import trimesh
-from trimesh.visual import ColorVisuals
 
 from mapping.errors import DataError
 from perception.camera import transform
@@ -16,7 +15,7 @@ from perception.frame import Frame
 from perception.observation import ObservedObject, Skipped
 from reconstruction.config import PipelineConfig
 from reconstruction.fitted_scene import FittedScene, Surface
-from reconstruction.pictures.palette import uncertainty_colours
+from reconstruction.pictures.palette import paint
 from reconstruction.result import ObjectField, OtherObstacles, ReconstructedObject, Reconstruction
 from reconstruction.surface.field import Field, overlap, window_of, within
 
@@ -94,6 +93,7 @@ def _other(scene: FittedScene, T_world_table: np.ndarray) -> OtherObstacles | No
         return None
     vertices = transform(T_world_table, np.asarray(surface.mesh.vertices))
     mesh = trimesh.Trimesh(vertices, surface.mesh.faces, process=False)
+    paint(mesh, surface.uncertainty)
     return OtherObstacles(mesh, surface.uncertainty, own)
 
 
@@ -119,9 +119,7 @@ def _place(
     local = np.asarray(surface.mesh.vertices)
     T_table_object, extents = upright_box(local)
     mesh = trimesh.Trimesh(transform(T_world_table, local), surface.mesh.faces, process=False)
-    # So that mesh.export("x.ply") keeps them.
-    mesh.visual = ColorVisuals(mesh, vertex_colors=uncertainty_colours(surface.uncertainty))
-    mesh.vertex_attributes["uncertainty"] = np.asarray(surface.uncertainty, np.float32)
+    paint(mesh, surface.uncertainty)
     return ReconstructedObject(
         label=item.label,
         name=item.name,

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
+from shutil import copytree
 
 import numpy as np
 import pytest
 from solids import KEYS, reconstructed_tabletop, true_meshes
 
 from mapping.errors import DataError
-from reconstruction.files.output_folder import RECORDING
+from reconstruction.files.output_folder import RECORDING, check_output
+from reconstruction.files.recordings import name_recording
 from reconstruction.files.result_folder import save_reconstruction
 from reconstruction.pictures.recording import record
 from tools.view import find_recording, view
@@ -21,6 +24,17 @@ pytest.importorskip("rerun", reason="recordings need the viz extra")
 @pytest.fixture(scope="module")
 def reconstruction():
     return reconstructed_tabletop()
+
+
+@pytest.fixture(scope="module")
+def stored(reconstruction, tmp_path_factory):
+    return save_reconstruction(reconstruction, tmp_path_factory.mktemp("stored") / "result")
+
+
+@pytest.fixture
+def result(stored, tmp_path):
+    """A result folder without a recording, to be changed."""
+    return Path(copytree(stored, tmp_path / "result"))
 
 
 @pytest.fixture(scope="module")
@@ -111,25 +125,44 @@ def test_a_folder_that_does_not_exist_is_one_clear_error(reconstruction, tmp_pat
         record(reconstruction, tmp_path / "nowhere" / "run.rrd")
 
 
-def test_view_without_display_says_what_to_type(reconstruction, tmp_path, monkeypatch, capsys):
+def test_view_without_display_says_what_to_type(result, recording, monkeypatch, capsys):
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    result = save_reconstruction(reconstruction, tmp_path / "result", recording=True)
+    (result / RECORDING).write_bytes(recording.read_bytes())
     view(result)
     told = capsys.readouterr().out
     assert str(result / RECORDING) in told
     assert "rerun recording.rrd" in told
 
 
-def test_view_builds_a_recording_from_meshes_when_there_is_none(reconstruction, tmp_path):
+def test_view_builds_a_recording_from_meshes_when_there_is_none(result):
     from rerun.chunk import RrdReader
 
-    result = save_reconstruction(reconstruction, tmp_path / "result")
     assert not (result / RECORDING).exists()
     recording = find_recording(result)
     found = {chunk.entity_path for chunk in RrdReader(recording).stream()}
     assert {f"/world/uncertainty/{KEYS[0]}", f"/world/meshes/{KEYS[0]}", "/summary"} <= found
+
+
+def test_view_finds_the_recording_of_the_run_wherever_it_lies(result, tmp_path):
+    run = tmp_path / "run.rrd"
+    run.write_bytes(b"RRF2 of this run")
+    name_recording(result, run)
+    assert find_recording(result).samefile(run)
+    moved = tmp_path / "moved"
+    moved.mkdir()
+    for path in (result, run):
+        path.rename(moved / path.name)
+    assert find_recording(moved / "result").samefile(moved / "run.rrd")
+    (moved / "run.rrd").write_bytes(b"RRF2 of another run")
+    assert find_recording(moved / "result") == moved / "result" / RECORDING
+
+
+def test_a_recording_in_the_result_folder_is_the_results_own(result):
+    (result / "run.rrd").write_bytes(b"RRF2")
+    name_recording(result, result / "run.rrd")
+    assert check_output(result, overwrite=True).samefile(result)  # ConfigError where foreign files lie
 
 
 def test_view_of_something_else_is_a_clear_error(tmp_path):

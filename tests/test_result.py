@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import make_tabletop
 
-from mapping.errors import DataError
+from mapping.errors import ConfigError, DataError
 from reconstruction import load_result, reconstruct
 
 
@@ -70,11 +70,18 @@ def test_a_folder_that_does_not_say_what_its_columns_are(result, folder, tmp_pat
         stored.query(np.zeros((1, 3)))
 
 
-def test_an_exported_ply_keeps_uncertainty_and_colours(result, tmp_path):
+def test_exported_and_saved_meshes_keep_uncertainty_and_colours(result, folder, tmp_path):
     import trimesh
 
     item = result.objects[0]
-    item.mesh.export(tmp_path / "mesh.ply")
-    raw = trimesh.load(tmp_path / "mesh.ply", process=False).metadata["_ply_raw"]["vertex"]["data"]
-    np.testing.assert_array_equal(raw["uncertainty"].ravel(), item.uncertainty)
-    assert len(np.unique(np.stack([raw[name].ravel() for name in ("red", "green", "blue")], 1), axis=0)) > 1
+    item.mesh.export(tmp_path / "fresh.ply")
+    load_result(folder).objects[0].mesh.export(tmp_path / "stored.ply")
+    item.save(tmp_path / "saved.ply")
+    for name in ("fresh", "stored", "saved"):
+        read = trimesh.load(tmp_path / f"{name}.ply", process=False)
+        raw = read.metadata["_ply_raw"]["vertex"]["data"]
+        np.testing.assert_array_equal(raw["uncertainty"].ravel(), item.uncertainty)
+        assert len(np.unique(np.stack([raw[c].ravel() for c in ("red", "green", "blue")], 1), axis=0)) > 1
+    np.testing.assert_array_equal(read.vertices, item.mesh.vertices)  # saved: to the last digit
+    with pytest.raises(ConfigError, match=r"\.ply"):
+        item.save(tmp_path / "saved.stl")

@@ -21,6 +21,13 @@ from tools.options import nested_setting
 Command = Callable[..., Any]
 FRAMES = re.compile(r"[\u2500-\u257f]+|-{5,}")
 """Lines and corners of the boxes that tyro draws around its errors."""
+SECTIONS = ("Missing from", "Perhaps you meant", "Unrecognized options", "Available subcommands")
+"""How the parts of an error begin that list arguments."""
+HELP_INDENT = 8
+"""Columns from the frame on at which tyro explains an argument that it has named."""
+WRONG_COUNT = re.compile(
+    r"^Error parsing (\S+?):? .*input length (\d+) did not match expected argument count (\d+)"
+)
 
 
 def with_preset(command: Command, arguments: Sequence[str]) -> Command:
@@ -79,7 +86,8 @@ def parse(
         if command:
             _check_settings(command, arguments)
         helpful = f"{prog} {arguments[0]} --help" if command else f"{prog} --help"
-        raise ConfigError(f"{_one_line(said.getvalue())}; see {helpful}") from None
+        sentence = _one_line(said.getvalue())
+        raise ConfigError(f"{sentence}{_one_value_each(sentence, arguments)}; see {helpful}") from None
     return calls[0]
 
 
@@ -95,8 +103,38 @@ def _check_settings(command: Command, arguments: Sequence[str]) -> None:
 
 def _one_line(box: str) -> str:
     """A box of several lines as one sentence: without its title, which its first line says again, the help
-    text of an argument, and the footer."""
-    parts = [" ".join(part.strip("|+• \n").split()) for part in FRAMES.split(box)]
-    said = [part for part in parts if part and not part.startswith(("For full helptext", "(default"))]
-    cut = next((k for k, part in enumerate(said) if part.startswith("Argument helptext")), len(said))
-    return " ".join(said[1:cut]) or " ".join(box.split())
+    texts of arguments, and the footer."""
+    said: list[str] = []
+    listing = False
+    for line in box.splitlines()[1:]:
+        inner = FRAMES.sub(" ", line).strip("|+\n")
+        text = " ".join(inner.strip("• ").split())
+        if text.startswith(("For full helptext", "Argument helptext")):
+            break
+        if text.startswith(SECTIONS):
+            listing = True
+            said[-1:] = [f"{last};" for last in said[-1:]]
+        # Below the name of an argument stands its help, further in.
+        if text and not (listing and len(inner) - len(inner.lstrip()) >= HELP_INDENT):
+            said.append(text)
+    sentence = " ".join(said) or " ".join(box.split())
+    sentence = sentence.replace("options: ", "words: ", 1) if _no_option(sentence) else sentence
+    counted = WRONG_COUNT.search(sentence)
+    if counted is None:
+        return sentence
+    name, given, wanted = counted.groups()
+    return f"{name} takes {wanted} values, {given} given"
+
+
+def _no_option(sentence: str) -> bool:
+    return sentence.startswith("Unrecognized options: ") and " -" not in sentence
+
+
+def _one_value_each(said: str, arguments: Sequence[str]) -> str:
+    """The advice for words that no option takes, such as the second file after --labels; empty for others."""
+    if not said.startswith("Unrecognized words: "):
+        return ""
+    first = said.removeprefix("Unrecognized words: ").split(", ")[0]
+    before = arguments[: arguments.index(first)] if first in arguments else []
+    option = next((word for word in reversed(before) if word.startswith("-")), None)
+    return f" ({option} takes one value)" if option and before[-1] != option else ""

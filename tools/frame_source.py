@@ -32,6 +32,11 @@ class FrameSource:
         from perception.frame_io import load_frame, load_images
         from perception.inputs.camera_file import read_pose_file
 
+        if self.frame is not None and self.depth is not None:
+            raise ConfigError(
+                f"FRAME ({self.frame}) and --depth were both given, one is wanted; --rgb, --depth and "
+                "--labels take one file each, a further word counts as FRAME"
+            )
         if sum(item is not None for item in (self.frame, self.depth, self.bop)) != 1:
             raise ConfigError(
                 "give either FRAME (a folder, .npz or cloud), --depth with --intrinsics or --camera, or "

@@ -72,7 +72,7 @@ def map_frame(
         max_uncertainty: Keep only what is less uncertain than this, 0..1 (mesh.max_uncertainty).
         config: YAML or JSON file of nested settings, as in the `config` of a scene.json.
         set: Settings as text, such as mesh.spacing=0.003; the same as --mesh.spacing 0.003.
-        rrd: Also write a rerun recording to this file.
+        rrd: Also write a rerun recording to this file; `contramap view RESULT` finds it.
         overwrite: Replace an older result in --out.
         settings: Every setting of the pipeline; the defaults are those of --preset.
     """
@@ -104,9 +104,11 @@ def map_frame(
     reconstruction = reconstruct(source.load(), chosen, seed)
     save_reconstruction(reconstruction, out, overwrite=overwrite)
     if rrd is not None:
+        from reconstruction.files.recordings import name_recording
         from reconstruction.pictures.recording import record
 
         record(reconstruction, rrd)
+        name_recording(out, rrd)
     print_summary(reconstruction)
     print(f"result: {out}")
 

@@ -13,7 +13,7 @@ from typing import Annotated
 import tyro
 
 from mapping.errors import ConfigError, DataError
-from reconstruction.files.output_folder import RECORDING
+from reconstruction.files.output_folder import RECORDING, SCENE
 
 
 def view(result: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULT")]) -> None:
@@ -38,17 +38,21 @@ def view(result: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RE
 
 
 def find_recording(result: Path) -> Path:
-    """The recording of a result; written beside the meshes, or to a temporary folder if that is read-only."""
+    """The recording of a result's run; else one of its meshes alone is made, beside them, or in a temporary
+    folder if they are read-only."""
     if result.is_file() and result.suffix == ".rrd":
         return result
-    recording = result / RECORDING
-    if recording.is_file():
-        return recording
+    from reconstruction.files.recordings import recording_of
+
+    found = recording_of(result) if (result / SCENE).is_file() else None
+    if found is not None:
+        return found
     from reconstruction.files.stored import load_result
     from reconstruction.pictures.recording import record_stored
 
     stored = load_result(result)
-
+    print("the run itself was not recorded, or its recording is gone; making one of the meshes")
+    recording = result / RECORDING
     try:
         record_stored(stored, recording)
     except DataError:

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from mapping.errors import DataError
-from reconstruction.pictures.palette import uncertainty_colours
+from mapping.errors import ConfigError, DataError
+from mapping.files import write_atomically
+from reconstruction.pictures.palette import paint, uncertainty_colours
 
 Properties = list[tuple[str, str]]
 MORE: Properties = [("red", "u1"), ("green", "u1"), ("blue", "u1"), ("uncertainty", "<f4")]
@@ -68,7 +69,9 @@ def decode_ply(path: Path) -> tuple[trimesh.Trimesh, np.ndarray]:
     points = np.stack([vertices[axis] for axis in "xyz"], axis=1).astype(np.float64)
     if not (np.isfinite(points).all() and np.isfinite(vertices["uncertainty"]).all()):
         raise DataError(f"{path}: vertices hold NaN or infinite values; map the frame again")
-    return trimesh.Trimesh(points, faces, process=False), vertices["uncertainty"].copy()
+    mesh, uncertainty = trimesh.Trimesh(points, faces, process=False), vertices["uncertainty"].copy()
+    paint(mesh, uncertainty)
+    return mesh, uncertainty
 
 
 def encode_obj(mesh: trimesh.Trimesh) -> bytes:
@@ -79,6 +82,20 @@ def encode_obj(mesh: trimesh.Trimesh) -> bytes:
     )
     faces = "".join(f"f {a} {b} {c}\n" for a, b, c in (mesh.faces + 1).tolist())
     return ("# contramap, metres\n" + vertices + faces).encode()
+
+
+def write_mesh(mesh: trimesh.Trimesh, uncertainty: np.ndarray, path: Path) -> None:
+    """Write a mesh [m] with p(uncertain) (V,): .ply keeps uncertainty and colours, .obj the surface alone.
+
+    Raises ConfigError for another ending, DataError when the file cannot be written.
+    """
+    encoders = {".ply": lambda: encode_ply(mesh, uncertainty), ".obj": lambda: encode_obj(mesh)}
+    if path.suffix.lower() not in encoders:
+        raise ConfigError(
+            f"{path}: a mesh is saved as .ply (with uncertainty and colours) or .obj; mesh.export(path) of "
+            "trimesh writes other formats"
+        )
+    write_atomically(path, encoders[path.suffix.lower()]())
 
 
 def loads_closed(path: Path) -> bool:

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
+
+if TYPE_CHECKING:
+    import trimesh
 
 EMPTY_COLOUR = (178, 186, 196)
 UNCERTAIN_COLOUR = (253, 203, 38)
@@ -40,3 +45,12 @@ def uncertainty_colours(uncertainty: np.ndarray) -> np.ndarray:
     ramp = np.linspace(VIRIDIS_START, 255, 256).round().astype(np.uint8)[None]
     table = cv2.applyColorMap(ramp, cv2.COLORMAP_VIRIDIS)[0, :, ::-1]
     return table[np.clip(np.round(np.asarray(uncertainty) * 255), 0, 255).astype(np.uint8)]
+
+
+def paint(mesh: trimesh.Trimesh, uncertainty: np.ndarray) -> None:
+    """Give a mesh its p(uncertain) (V,) as vertex attribute and colours, so that mesh.export("x.ply") keeps
+    both."""
+    from trimesh.visual import ColorVisuals
+
+    mesh.visual = ColorVisuals(mesh, vertex_colors=uncertainty_colours(uncertainty))
+    mesh.vertex_attributes["uncertainty"] = np.asarray(uncertainty, np.float32)

@@ -70,6 +70,11 @@ def run_toy(
     check_choices(methods, METHODS, "methods")
     methods = tuple(method for method in METHODS if method in (*methods, "gp"))
     found: dict[tuple[str, str], list[dict[str, float]]] = {}
+    print(
+        f"fitting {len(methods)} methods to {len(sets)} sets with {len(seeds)} seeds each; what is under "
+        f"{out / 'runs'} with the same settings is not fitted again",
+        flush=True,
+    )
     with tqdm(total=len(sets) * len(seeds) * len(methods), desc="toy runs", disable=None) as bar:
         for name in sets:
             for seed in seeds:
@@ -77,6 +82,7 @@ def run_toy(
                     out / "runs", name, methods, seed, config, overwrite, bar
                 ):
                     found.setdefault((name, method), []).append(result)
+            tqdm.write(f"{name}: {len(methods)} methods, {len(seeds)} seeds done")
     summary = {
         "seeds": list(seeds),
         "sets": {name: {method: summarise(found[name, method], KEYS) for method in methods} for name in sets},
@@ -130,7 +136,7 @@ def _seed_results(
     distance = expected_distance(grid_points(toy, config.grid), toy.X)
     results = []
     for method in methods:
-        bar.set_postfix_str(f"{name} {TITLES[method]}")
+        bar.set_postfix_str(f"{name}, seed {seed}, {TITLES[method]}")
         path = folder / f"{name}-{method}-{seed}.json"
         settings = {"set": name, "method": method, "seed": seed, **config.settings_of(method)}
         compute = partial(_run, path, method, toy, seed, config)
