@@ -60,6 +60,25 @@ def staged_folder(
         release(lock)
 
 
+@contextmanager
+def temporary_folder(path: Path) -> Iterator[Path]:
+    """A new hidden folder beside `path` for what is under way; removed at the end, and after a kill by the
+    next one of the same `path`. Raises DataError when it cannot be made."""
+    partial, lock = temporary_name(path), None
+    try:
+        remove_left_over(path)
+        try:
+            lock = claim(partial, Path.mkdir)
+        except OSError as error:
+            raise DataError(
+                f"cannot write {path.parent}: {error.strerror or error}{advice(error)}"
+            ) from error
+        yield partial
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+        release(lock)
+
+
 def can_be_renamed(folder: Path) -> bool:
     """Whether a folder can be put in its place as a whole: no mount point, and its parent is writable."""
     if os.path.ismount(folder):

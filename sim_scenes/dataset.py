@@ -75,7 +75,8 @@ def generate(
     for index in tqdm(todo, desc="scenes", disable=not progress):
         rng = np.random.default_rng([seed, index])
         make_scene(folders[index], source, rng, settings, progress)
-    if source.folder is not None and todo:
+    # Also when all scenes are there: a run may have been killed after the last of them.
+    if source.folder is not None and (todo or not (Path(out) / OBJECTS_FILE).is_file()):
         _write_choice(Path(out) / OBJECTS_FILE, source.folder, folders)
     return folders
 

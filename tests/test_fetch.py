@@ -202,6 +202,44 @@ def test_an_unknown_object_is_an_error(host: Host, tmp_path: Path) -> None:
         fetch.fetch_ycb(tmp_path, ["../escape"], base_url=host.url, progress=False)
 
 
+def test_other_scans_of_the_same_thing_are_kept(host: Host, tmp_path: Path) -> None:
+    host.files[NAME] = archive()
+    mine = tmp_path / MODEL / "poisson" / "textured.obj"
+    mine.parent.mkdir(parents=True)
+    mine.write_text("mine")
+    with pytest.raises(DataError, match="poisson"):
+        get(host, tmp_path)
+    assert mine.read_text() == "mine"
+    assert host.ranges == []  # said before the download
+
+
+def test_what_killed_runs_left_is_removed(host: Host, tmp_path: Path) -> None:
+    host.files[NAME] = archive()
+    for name in (MODEL, NAME):
+        left = tmp_path / f".{name}.0123456789ab.part"
+        left.mkdir()
+        (left / "half").touch()
+    get(host, tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [MODEL, fetch.CHECKSUM_FILE]
+    # Also when the kill came after the scan was in place.
+    (tmp_path / f".{NAME}.0123456789ab.part").mkdir()
+    get(host, tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [MODEL, fetch.CHECKSUM_FILE]
+
+
+def test_a_member_that_grows_after_unpacking_is_refused(host: Host, tmp_path: Path) -> None:
+    """A sparse file of 8 GB takes a few hundred bytes of the archive."""
+    sparse = tarfile.TarInfo(f"{MODEL}/google_16k/zeros.bin")
+    sparse.pax_headers = {
+        "GNU.sparse.major": "0", "GNU.sparse.minor": "1", "GNU.sparse.map": "0,0",
+        "GNU.sparse.numblocks": "1", "GNU.sparse.size": str(8 << 30),
+    }  # fmt: skip
+    host.files[NAME] = archive((sparse, b""))
+    with pytest.raises(DataError, match="unpacks to more"):
+        get(host, tmp_path)
+    assert not (tmp_path / MODEL).exists()
+
+
 def test_the_address_can_come_from_the_environment(
     host: Host, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
+from mapping.files import temporary_beside
 from tools.runs.workers import CRASHED, run_in_workers
 
 SAMPLES = 20_000
@@ -215,5 +216,6 @@ def draw(figures: dict[str, Any], path: Path) -> None:
             cell.set_xticks(ticks, [f"{tick:,}" for tick in ticks], minor=False)
             cell.set_xticks([], minor=True)
         axes[1, column].set_xlabel({"hinges": "hinge points", "objects": "objects"}[sweep])
-    panels.savefig(path)
+    with temporary_beside(path) as partial:
+        panels.savefig(partial, format="png")
     plt.close(panels)

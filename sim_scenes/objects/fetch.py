@@ -12,12 +12,13 @@ import time
 import urllib.error
 import urllib.request
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from mapping.errors import DataError
-from mapping.files import write_atomically
+from mapping.files import remove_left_over, write_atomically
+from mapping.folders import staged_folder, temporary_folder
 from sim_scenes.objects.ycb import MESH_FILE, default_ycb_dir
 
 BASE_URL = "http://ycb-benchmarks.s3-website-us-east-1.amazonaws.com/data/google"
@@ -121,33 +122,34 @@ def fetch_ycb(
     for model_id in only or YCB_IDS:
         if "/" in model_id or model_id.startswith("."):
             raise DataError(f"{model_id!r} is no YCB ID; they look like 003_cracker_box")
+        name = f"{model_id}_google_16k.tgz"
+        remove_left_over(folder / name)  # of runs that were killed
+        remove_left_over(folder / model_id)
         if (folder / model_id / MESH_FILE).is_file():
             continue
-        archive = _download(url, f"{model_id}_google_16k.tgz", folder, progress)
-        try:
-            extract(archive, folder, model_id)
-            _remember(archive, folder)  # only what was whole is what later downloads are compared with
-        finally:
-            archive.unlink(missing_ok=True)
+        _check_replaceable(folder / model_id)
+        # Hidden, so that neither what pooch has under way nor the archive outlives a run that is killed.
+        with temporary_folder(folder / name) as hidden:
+            archive = _download(url, name, folder, hidden, progress)
+            extract(archive, folder, model_id, lambda archive=archive: _remember(archive, folder))
     return folder
 
 
-def _download(url: str, name: str, folder: Path, progress: bool) -> Path:
-    """The archive's path after a complete, verified download."""
+def _download(url: str, name: str, folder: Path, to: Path, progress: bool) -> Path:
+    """The archive's path below `to` after a complete, verified download; its part lies in `folder`."""
     import pooch
 
     known = _checksums(folder)
-    downloader = ResumingDownloader(progress)
+    downloader = ResumingDownloader(folder, progress)
     try:
         path = pooch.retrieve(
             f"{url}/{name}",
             known_hash=known.get(name),
             fname=name,
-            path=folder,
+            path=to,
             downloader=downloader,
         )
     except ValueError as error:  # pooch: the hash does not match
-        (folder / name).unlink(missing_ok=True)
         raise DataError(
             f"{url}/{name}: its checksum differs from the one recorded in {folder / CHECKSUM_FILE}; the file "
             "changed or was damaged. Delete the entry there if the change is expected"
@@ -172,23 +174,22 @@ def _checksums(folder: Path) -> dict[str, str]:
 
 
 class ResumingDownloader:
-    """A pooch downloader that keeps the part it got beside the target and asks only for the rest."""
+    """A pooch downloader that keeps the part it got in a folder and asks only for the rest."""
 
-    def __init__(self, progress: bool = True) -> None:
-        self.progress = progress
+    def __init__(self, folder: Path, progress: bool = True) -> None:
+        self.folder, self.progress = folder, progress
         self._end = float("inf")
 
     def __call__(self, url: str, output_file: Any, pooch: Any) -> None:
         """Download `url` to the path `output_file`; raises DataError when it cannot be completed."""
         # pooch hands over a temporary name that differs each time; the part must outlive the process.
-        target = Path(output_file)
-        part = target.parent / (url.rsplit("/", 1)[-1] + ".part")
+        part = self.folder / (url.rsplit("/", 1)[-1] + ".part")
         self._end = time.monotonic() + LONGEST_S
         problem: Exception | None = None
         for _ in range(ATTEMPTS):
             try:
                 self._rest(url, part)
-                shutil.move(part, target)
+                shutil.move(part, output_file)
                 return
             except urllib.error.HTTPError as error:
                 if error.code == 416:  # the part is not a beginning of this file
@@ -240,37 +241,52 @@ class ResumingDownloader:
             raise ConnectionError(f"connection cut at {part.stat().st_size} of {total} bytes")
 
 
-def extract(archive: Path, folder: Path, model_id: str) -> None:
+def extract(archive: Path, folder: Path, model_id: str, whole: Callable[[], object] = lambda: None) -> None:
     """Unpack an archive whose files all lie below `model_id`/; it appears in `folder` only when complete.
 
-    Raises DataError for members outside that folder, links, device files, and broken archives.
+    whole: called when all is unpacked, before it appears: only what was whole is what later downloads are
+    compared with. Raises DataError for members outside that folder, links, device files, and broken archives.
     """
-    temporary = folder / f".{model_id}.{os.getpid()}.tmp"
-    shutil.rmtree(temporary, ignore_errors=True)
-    try:
-        _check_whole(archive)
-        with tarfile.open(archive) as tar:
-            members = tar.getmembers()
-            for member in members:
-                _check_member(member, archive, model_id)
-            for member in members:
-                target = temporary / member.name
-                if member.isdir():
-                    target.mkdir(parents=True, exist_ok=True)
-                    continue
-                target.parent.mkdir(parents=True, exist_ok=True)
-                source = tar.extractfile(member)
-                assert source is not None, "only plain files pass the check"
-                with source, open(target, "wb") as stream:
-                    shutil.copyfileobj(source, stream)
-        if not (temporary / model_id / MESH_FILE).is_file():
+    with staged_folder(folder / model_id, lambda: _check_replaceable(folder / model_id)) as partial:
+        try:
+            _unpack(archive, partial, model_id)
+        except (tarfile.TarError, zlib.error, gzip.BadGzipFile, EOFError, ValueError) as error:
+            raise DataError(f"{archive}: is not a readable archive ({error}); fetch it again") from error
+        if not (partial / MESH_FILE).is_file():
             raise DataError(f"{archive}: holds no {model_id}/{MESH_FILE}")
-        shutil.rmtree(folder / model_id, ignore_errors=True)
-        (temporary / model_id).rename(folder / model_id)
-    except (tarfile.TarError, zlib.error, EOFError, ValueError, OSError) as error:
-        raise DataError(f"{archive}: is not a readable archive ({error}); fetch it again") from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        whole()
+
+
+def _check_replaceable(scan: Path) -> None:
+    """Raise DataError when a folder holds what is not of the archive, such as other scans of the thing."""
+    held = sorted(entry.name for entry in scan.iterdir()) if scan.is_dir() else []
+    foreign = [name for name in held if name != Path(MESH_FILE).parts[0]]
+    if foreign:
+        raise DataError(
+            f"{scan} holds {foreign[0]}, which is not of the scan and would be lost; choose another --to"
+        )
+
+
+def _unpack(archive: Path, partial: Path, model_id: str) -> None:
+    """What lies below `model_id`/ in the archive, into the folder `partial`."""
+    _check_whole(archive)
+    with tarfile.open(archive) as tar:
+        members = tar.getmembers()
+        for member in members:
+            _check_member(member, archive, model_id)
+        _check_size(sum(member.size for member in members), archive)  # sparse ones grow after gzip
+        for member in members:
+            if not Path(member.name).parts:
+                continue  # the folder "." itself
+            target = partial / Path(member.name).relative_to(model_id)
+            if member.isdir():
+                target.mkdir(parents=True, exist_ok=True)
+                continue
+            target.parent.mkdir(parents=True, exist_ok=True)
+            source = tar.extractfile(member)
+            assert source is not None, "only plain files pass the check"
+            with source, open(target, "wb") as stream:
+                shutil.copyfileobj(source, stream)
 
 
 def _check_whole(archive: Path) -> None:
@@ -279,8 +295,12 @@ def _check_whole(archive: Path) -> None:
     with gzip.open(archive) as stream:
         while block := stream.read(1 << 20):
             size += len(block)
-            if size > LARGEST_UNPACKED:
-                raise DataError(f"{archive}: unpacks to more than {LARGEST_UNPACKED >> 20} MB; it is refused")
+            _check_size(size, archive)
+
+
+def _check_size(size: int, archive: Path) -> None:
+    if size > LARGEST_UNPACKED:
+        raise DataError(f"{archive}: unpacks to more than {LARGEST_UNPACKED >> 20} MB; it is refused")
 
 
 def _check_member(member: tarfile.TarInfo, archive: Path, model_id: str) -> None:

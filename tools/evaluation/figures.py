@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mapping.files import temporary_beside
 from tools.evaluation.statistics import CURVE_POINTS
 
 COLOURS = {
@@ -70,7 +71,8 @@ def _save(draw, path: Path, results: dict[str, list[dict[str, Any]]], arguments:
     with plt.rc_context({**style, "grid.color": "#e6e8eb", "axes.axisbelow": True}):
         figure, axes = plt.subplots(figsize=SIZE, dpi=DPI, layout="constrained")
         draw(axes, results, **arguments)
-        figure.savefig(path)
+        with temporary_beside(path) as partial:
+            figure.savefig(partial, format="png")
         plt.close(figure)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from mapping.files import temporary_beside
 from perception.camera import Camera
 from reconstruction.pictures.palette import object_colour, uncertainty_colours
 from reconstruction.pictures.shading import ShadingConfig, render
@@ -66,7 +67,8 @@ def write_gallery(rows: dict[str, dict[str, np.ndarray]], path: Path) -> None:
             cell.set_axis_off()
             if number == 0:
                 cell.set_title(title, fontsize=9)
-    figure.savefig(path)
+    with temporary_beside(path) as partial:
+        figure.savefig(partial, format="png")
     plt.close(figure)
 
 

@@ -7,6 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from mapping.files import write_atomically
 from tools.evaluation.table import (
     against_rows,
     card_rows,
@@ -121,7 +122,7 @@ def write_report(summary: dict[str, Any], figures: dict[str, Path], gallery: Pat
     )
     page = f"<!doctype html><html lang=en><head>{head}<style>{STYLE}</style></head><body>"
     page += "\n".join(parts) + f"<script>{SCRIPT}</script></body></html>\n"
-    path.write_text(page)
+    write_atomically(path, page.encode())
 
 
 def _section(title: str, text: str, content: str) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mapping.baselines.deep_map import DeepMap, DeepMapConfig
+from mapping.files import write_atomically
 from tools.evaluation.statistics import auroc
 from tools.occupancy.fit import OCCUPIED, share_occupied
 from tools.options import write_json
@@ -100,7 +101,7 @@ def run_hinges(
         },
     }
     write_json(summary, out / "summary.json")
-    (out / "table.md").write_text(hinges_table(summary))
+    write_atomically(out / "table.md", hinges_table(summary).encode())
     _draw(out / "hinges.png", summary)
     return summary
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mapping.files import temporary_beside
+from mapping.files import temporary_beside, write_atomically
 from perception.lidar import LaserLog
 from tools.evaluation.statistics import auroc
 from tools.occupancy.fit import OCCUPIED
@@ -88,7 +88,7 @@ def run_occupancy(
             method: {**summarise(found, KEYS), "hinges": found[0]["hinges"]} for method, found in runs.items()
         }
         write_json(summary, out / "summary.json")
-    (out / "table.md").write_text(occupancy_table(summary))
+    write_atomically(out / "table.md", occupancy_table(summary).encode())
     from tools.reproduce.occupancy_figures import draw_maps
 
     for name in logs:

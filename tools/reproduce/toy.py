@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mapping.baselines.base import gini
-from mapping.files import temporary_beside
+from mapping.files import temporary_beside, write_atomically
 from sim_scenes.toy2d import TOY_SETS, ToySet, make_toy_set
 from tools.evaluation.statistics import auroc, spearman
 from tools.options import write_json
@@ -88,7 +88,7 @@ def run_toy(
         "sets": {name: {method: summarise(found[name, method], KEYS) for method in methods} for name in sets},
     }
     write_json(summary, out / "summary.json")
-    (out / "table.md").write_text(toy_table(summary))
+    write_atomically(out / "table.md", toy_table(summary).encode())
     toys = {name: make_toy_set(name, np.random.default_rng(seeds[0]), config.data) for name in sets}
     fields = {(s, m): _load_field(out / "runs", s, m, seeds[0])["uncertainty"] for s in sets for m in methods}
     draw_toy(out / "uncertainty.png", toys, methods, fields, config.grid)

@@ -6,12 +6,12 @@ Knows functions of a job and a tile; must not know what they do.
 from __future__ import annotations
 
 import logging
-import multiprocessing
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 
 from mapping.errors import ConfigError, DataError
+from mapping.threads import thread_count
+from tools.runs.workers import run_in_workers
 from tools.semantic.tiles import Job
 
 Tile = tuple[int, int]
@@ -37,16 +37,17 @@ def run_tasks(
 def _in_processes(task: Task, job: Job, tiles: list[Tile], workers: int, done: Callable[[], object]) -> None:
     left = list(tiles)
     for _ in range(RETRIES + 1):
-        with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-            futures = {pool.submit(task, job, tile): tile for tile in left}
-            try:
-                for future in as_completed(futures):
-                    future.result()
-                    left.remove(futures[future])
-                    done()
-                return
-            except BrokenProcessPool:
-                continue  # what is left is tried again with new workers
+        died: list[Tile] = []
+        for over in run_in_workers(partial(task, job), left, workers, thread_count()):
+            if over.error is not None:
+                raise over.error
+            if over.died:
+                died.append(over.task)
+            else:
+                done()
+        if not died:
+            return
+        left = died  # tried again
     raise DataError(
         f"workers died {RETRIES + 1} times, {len(left)} tiles are left; use fewer or smaller tiles"
     )
