@@ -13,6 +13,7 @@ import urllib.error
 import urllib.request
 import zlib
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -131,7 +132,7 @@ def fetch_ycb(
         # Hidden, so that neither what pooch has under way nor the archive outlives a run that is killed.
         with temporary_folder(folder / name) as hidden:
             archive = _download(url, name, folder, hidden, progress)
-            extract(archive, folder, model_id, lambda archive=archive: _remember(archive, folder))
+            extract(archive, folder, model_id, partial(_remember, archive, folder))
     return folder
 
 
@@ -247,12 +248,12 @@ def extract(archive: Path, folder: Path, model_id: str, whole: Callable[[], obje
     whole: called when all is unpacked, before it appears: only what was whole is what later downloads are
     compared with. Raises DataError for members outside that folder, links, device files, and broken archives.
     """
-    with staged_folder(folder / model_id, lambda: _check_replaceable(folder / model_id)) as partial:
+    with staged_folder(folder / model_id, lambda: _check_replaceable(folder / model_id)) as unfinished:
         try:
-            _unpack(archive, partial, model_id)
+            _unpack(archive, unfinished, model_id)
         except (tarfile.TarError, zlib.error, gzip.BadGzipFile, EOFError, ValueError) as error:
             raise DataError(f"{archive}: is not a readable archive ({error}); fetch it again") from error
-        if not (partial / MESH_FILE).is_file():
+        if not (unfinished / MESH_FILE).is_file():
             raise DataError(f"{archive}: holds no {model_id}/{MESH_FILE}")
         whole()
 
@@ -267,8 +268,8 @@ def _check_replaceable(scan: Path) -> None:
         )
 
 
-def _unpack(archive: Path, partial: Path, model_id: str) -> None:
-    """What lies below `model_id`/ in the archive, into the folder `partial`."""
+def _unpack(archive: Path, to: Path, model_id: str) -> None:
+    """What lies below `model_id`/ in the archive, into the folder `to`."""
     _check_whole(archive)
     with tarfile.open(archive) as tar:
         members = tar.getmembers()
@@ -278,7 +279,7 @@ def _unpack(archive: Path, partial: Path, model_id: str) -> None:
         for member in members:
             if not Path(member.name).parts:
                 continue  # the folder "." itself
-            target = partial / Path(member.name).relative_to(model_id)
+            target = to / Path(member.name).relative_to(model_id)
             if member.isdir():
                 target.mkdir(parents=True, exist_ok=True)
                 continue
