@@ -12,6 +12,7 @@ import pytest
 from solids import KEYS, reconstructed_tabletop, true_meshes
 
 from mapping.errors import DataError
+from perception.camera import invert_rigid, transform
 from reconstruction.files.output_folder import RECORDING, check_output
 from reconstruction.files.recordings import name_recording
 from reconstruction.files.result_folder import save_reconstruction
@@ -71,12 +72,16 @@ def test_every_documented_entity_is_there(chunks, reconstruction):
         "/world/table/hinges",
         "/world/slice",
         "/fit/loss",
-        "/timings",
+        "/world/axes",
+        "/world/table/axes",
+        "/legend/uncertainty",
         "/summary",
     }
+    stages = [stage for stage in reconstruction.timings_ms if stage != "total"]
+    wanted |= {f"/timings/{place}_{stage}" for place, stage in enumerate(stages, 1)}
     wanted |= {f"/world/camera/{image}" for image in ("rgb", "depth", "labels")}
     wanted |= {f"/world/table/samples/{name}" for name in ("empty", "uncertain", *KEYS)}
-    wanted |= {f"/world/{group}/{key}" for group in ("meshes", "uncertainty") for key in KEYS}
+    wanted |= {f"/world/{group}/{key}" for group in ("meshes", "uncertainty", "boxes") for key in KEYS}
     wanted |= {f"/world/truth/{label}" for label in true_meshes()}
     assert wanted <= found
 
@@ -95,6 +100,35 @@ def test_meshes_and_hinges_are_the_results(chunks, reconstruction):
     np.testing.assert_allclose(np.stack(list(stored)), item.mesh.vertices, atol=1e-6)
     hinges = column(chunks, "/world/table/hinges", "Points3D:positions")
     np.testing.assert_allclose(np.stack(list(hinges)), reconstruction.map.hinges, atol=1e-6)
+
+
+def test_boxes_have_names_and_stand_upright_around_their_meshes(chunks, reconstruction):
+    up = reconstruction.T_world_table[:3, 2]
+    for item in reconstruction.objects:
+        entity = f"/world/boxes/{item.label}_{item.name}"
+        assert list(column(chunks, entity, "Boxes3D:labels")) == [item.name]
+        half = np.stack(list(column(chunks, entity, "Boxes3D:half_sizes")))[0]
+        shift = np.stack(list(column(chunks, entity, "Transform3D:translation")))[0]
+        axes = np.stack(list(column(chunks, entity, "Transform3D:mat3x3")))[0].reshape(3, 3).T
+        np.testing.assert_allclose(axes[:, 2], up, atol=1e-6)
+        local = (item.mesh.vertices - shift) @ axes
+        np.testing.assert_allclose(np.abs(local).max(0), half, atol=1e-5)
+
+
+def test_the_first_view_is_from_the_side_and_above(recording, reconstruction):
+    from rerun.chunk import RrdReader
+
+    reader = RrdReader(recording)
+    views = list(reader.stream(store=reader.blueprints()[0]))
+    chunk = next(c for c in views if "EyeControls3D:position" in c.to_record_batch().schema.names)
+    eye = chunk.to_record_batch().column("EyeControls3D:position")[0].values.to_numpy(zero_copy_only=False)
+    eye = np.stack(list(eye))[0]
+    own = transform(
+        invert_rigid(reconstruction.T_world_table), reconstruction.frame.camera.T_world_camera[None, :3, 3]
+    )[0]
+    turned = np.degrees(np.arctan2(eye[1], eye[0]) - np.arctan2(own[1], own[0]))
+    assert 45 < abs((turned + 180) % 360 - 180) < 90
+    assert eye[2] > 0.05
 
 
 def test_every_sample_is_logged_once(chunks, reconstruction):
@@ -142,7 +176,8 @@ def test_view_builds_a_recording_from_meshes_when_there_is_none(result):
     assert not (result / RECORDING).exists()
     recording = find_recording(result)
     found = {chunk.entity_path for chunk in RrdReader(recording).stream()}
-    assert {f"/world/uncertainty/{KEYS[0]}", f"/world/meshes/{KEYS[0]}", "/summary"} <= found
+    assert {f"/world/{kind}/{KEYS[0]}" for kind in ("uncertainty", "meshes", "boxes")} <= found
+    assert {"/world/axes", "/legend/uncertainty", "/timings/1_observe", "/summary"} <= found
 
 
 def test_view_finds_the_recording_of_the_run_wherever_it_lies(result, tmp_path):

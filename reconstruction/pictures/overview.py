@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import trimesh
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
+from reconstruction.pictures.colour_bar import PAPER, TEXT_COLOUR, colour_bar, font
 from reconstruction.pictures.near_origin import near_origin
 from reconstruction.pictures.palette import OTHER_COLOUR, object_colour, uncertainty_colours
 from reconstruction.pictures.shading import View, cast, frame_meshes
@@ -23,9 +24,7 @@ WIDTH = 1600
 PANEL = (508, 381)  # three panels a row
 GAP = 19
 TITLE = 34
-TEXT_COLOUR = (40, 44, 52)
 FAINT = (122, 128, 138)
-PAPER = (255, 255, 255)
 SIDE_AZIMUTH = 28.0  # [degrees] off the sensor's heading, so that two sides of each object show
 BESIDE = 0.03  # [m] what stands this close to the objects, without a label, is drawn in grey
 SIDE_ELEVATION = 30.0  # [degrees] above the table
@@ -76,7 +75,7 @@ def compose_overview(
     for index, (title, picture) in enumerate(panels):
         x = GAP + (index % 3) * (PANEL[0] + GAP)
         y = GAP // 2 + (index // 3) * row
-        draw.text((x, y + TITLE / 2), title, TEXT_COLOUR, _font(18), anchor="lm")
+        draw.text((x, y + TITLE / 2), title, TEXT_COLOUR, font(18), anchor="lm")
         page.paste(picture, (x, y + TITLE))
     page.paste(legend, (0, GAP // 2 + 2 * row))
     return page
@@ -171,10 +170,10 @@ def _grey_depth(depth: np.ndarray) -> np.ndarray:
 
 def _place_tags(draw: ImageDraw.ImageDraw, tags: list[tuple[Any, ...]]) -> None:
     """Write names above their objects, moved until they do not cover one another."""
-    font = _font(13)
+    letters = font(13)
     placed: list[tuple[float, float, float, float]] = []
     for x, y, text, colour in sorted(tags, key=lambda tag: tag[1]):
-        width, height = draw.textlength(text, font) + 10, 19
+        width, height = draw.textlength(text, letters) + 10, 19
         left = min(max(x - width / 2, 2), PANEL[0] - width - 2)
         top = max(y - height - 4, 2)
         while any(
@@ -184,7 +183,7 @@ def _place_tags(draw: ImageDraw.ImageDraw, tags: list[tuple[Any, ...]]) -> None:
         top = min(top, PANEL[1] - height - 2)
         placed.append((left, top, left + width, top + height))
         draw.rounded_rectangle((left, top, left + width, top + height), 5, colour)
-        draw.text((left + width / 2, top + height / 2), text, (255, 255, 255), font, anchor="mm")
+        draw.text((left + width / 2, top + height / 2), text, (255, 255, 255), letters, anchor="mm")
 
 
 def _slice_panel(
@@ -219,9 +218,9 @@ def _slice_panel(
     pen = ImageDraw.Draw(panel)
     pen.rounded_rectangle((10, y - 24, 26 + max(bar, 44), y + 8), 5, (255, 255, 255))
     pen.line((18, y, 18 + bar, y), TEXT_COLOUR, 3)
-    pen.text((18, y - 12), "10 cm", TEXT_COLOUR, _font(12), anchor="lm")
+    pen.text((18, y - 12), "10 cm", TEXT_COLOUR, font(12), anchor="lm")
     pen.rounded_rectangle((PANEL[0] / 2 - 47, y - 8, PANEL[0] / 2 + 47, y + 12), 5, (255, 255, 255))
-    pen.text((PANEL[0] / 2, y + 2), "camera's side", TEXT_COLOUR, _font(12), anchor="mm")
+    pen.text((PANEL[0] / 2, y + 2), "camera's side", TEXT_COLOUR, font(12), anchor="mm")
     return panel, section.height
 
 
@@ -250,21 +249,16 @@ def _legend(reconstruction: Reconstruction, with_truth: bool) -> Image.Image:
     for index, item in enumerate(objects):
         x, y = GAP + index % columns * column, index // columns * line + line / 2
         draw.rounded_rectangle((x, y - 7, x + 14, y + 7), 3, _colour(item))
-        draw.text((x + 22, y), _shorten(item.name, 22), TEXT_COLOUR, _font(15), anchor="lm")
-        used = draw.textlength(_shorten(item.name, 22), _font(15))
-        draw.text((x + 30 + used, y), f"mean {item.mean_uncertainty:.2f}", FAINT, _font(13), anchor="lm")
+        draw.text((x + 22, y), _shorten(item.name, 22), TEXT_COLOUR, font(15), anchor="lm")
+        used = draw.textlength(_shorten(item.name, 22), font(15))
+        draw.text((x + 30 + used, y), f"mean {item.mean_uncertainty:.2f}", FAINT, font(13), anchor="lm")
     x = WIDTH - GAP - bar_width
-    ramp = uncertainty_colours(np.tile(np.linspace(0, 1, bar_width), (14, 1)))
-    picture.paste(Image.fromarray(ramp), (x, 6))
-    for value in (0.0, 0.5, 1.0):
-        anchor = {0.0: "lm", 0.5: "mm", 1.0: "rm"}[value]
-        text = {0.0: "0  seen", 0.5: "p(uncertain)", 1.0: "guessed  1"}[value]
-        draw.text((x + value * bar_width, 32), text, TEXT_COLOUR, _font(13), anchor=anchor)
+    picture.paste(colour_bar(bar_width), (x, 6))
     if with_truth:
-        draw.text((x + bar_width, 48), "dashed: truth", FAINT, _font(12), anchor="rm")
+        draw.text((x + bar_width, 48), "dashed: truth", FAINT, font(12), anchor="rm")
     if skipped:
         text = "skipped: " + "; ".join(f"{item.name} ({item.reason})" for item in skipped)
-        draw.text((GAP, rows * line + 10), _shorten(text, 170), FAINT, _font(13), anchor="lm")
+        draw.text((GAP, rows * line + 10), _shorten(text, 170), FAINT, font(13), anchor="lm")
     return picture
 
 
@@ -275,8 +269,3 @@ def _colour(item: ReconstructedObject) -> tuple[int, int, int]:
 def _shorten(text: str, length: int) -> str:
     clean = "".join(c if c.isprintable() else "?" for c in text)
     return clean if len(clean) <= length else clean[: length - 3] + "..."
-
-
-def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """Pillow's own scalable font: the same picture on every machine."""
-    return ImageFont.load_default(size)

@@ -9,10 +9,13 @@ world/table/hinges              hinge points
 world/table/samples/<class>     training samples: empty, <label>_<name>, uncertain
 world/meshes/<label>_<name>     result meshes in the objects' colours
 world/uncertainty/<label>_<name>  the same coloured by p(uncertain)
+world/boxes/<label>_<name>      each object's upright box with its name
+world/axes                      the world frame, 10 cm; world/table/axes is the table frame
 world/truth/<label>             true meshes, where known
 world/slice                     p(uncertain) on a horizontal cut
 fit/loss                        one value a step, on the timeline `step`
-timings                         milliseconds a stage, in the order of the summary
+timings/<n>_<stage>             milliseconds of each stage
+legend/uncertainty              the colour bar of p(uncertain)
 summary                         text
 """
 
@@ -32,6 +35,7 @@ from mapping.folders import check_writable
 from perception.camera import invert_rigid, transform
 from reconstruction.files.scene_json import object_folder
 from reconstruction.pictures.blueprint import first_view, mesh_blueprint, run_blueprint
+from reconstruction.pictures.guides import log_axes, log_boxes, log_colour_bar, log_stages
 from reconstruction.pictures.near_origin import near_origin, shift_of, shifted_mesh, shifted_pose
 from reconstruction.pictures.palette import (
     EMPTY_COLOUR,
@@ -40,7 +44,8 @@ from reconstruction.pictures.palette import (
     object_colour,
     uncertainty_colours,
 )
-from reconstruction.pictures.slices import slice_uncertainty, table_axes
+from reconstruction.pictures.slices import directions, slice_uncertainty
+from reconstruction.pictures.summary_text import run_summary, stored_summary
 
 if TYPE_CHECKING:
     from reconstruction.files.stored import StoredObject, StoredResult
@@ -95,15 +100,26 @@ def record_stored(result: StoredResult, path: Path) -> None:
     """Write a recording of a result folder's meshes, for results whose run was not recorded."""
     stream = _rerun().RecordingStream("contramap")
     memory = stream.memory_recording()
-    stream.send_blueprint(mesh_blueprint())
     T_world_table = np.array(result.scene.get("T_world_table") or np.eye(4), float).reshape(4, 4)
     shift = shift_of(T_world_table)
     T_world_table = shifted_pose(T_world_table, shift)
-    _log_table(stream, T_world_table, upright=result.scene.get("support_plane") is not None)
-    for index, item in enumerate(result.objects):
-        _log_mesh(stream, replace(item, mesh=shifted_mesh(item.mesh, shift)), object_colour(index))
+    upright = result.scene.get("support_plane") is not None
+    _log_table(stream, T_world_table, upright)
+    objects = [
+        replace(
+            item,
+            mesh=shifted_mesh(item.mesh, shift),
+            T_world_object=shifted_pose(item.T_world_object, shift),
+        )
+        for item in result.objects
+    ]
+    for item in objects:
+        _log_mesh(stream, item, object_colour(item.class_index - 1))
+    log_boxes(stream, objects)
+    stream.send_blueprint(mesh_blueprint(*_view(objects, T_world_table, upright)))
     timings = {str(stage): float(value) for stage, value in result.scene.get("timings_ms", {}).items()}
-    _log_text(stream, "\n".join(_object_lines(result.objects) + _timing_lines(timings)))
+    log_stages(stream, timings)
+    _log_text(stream, stored_summary(result.objects, timings))
     _save(stream, memory, path)
 
 
@@ -130,13 +146,14 @@ def _log_run(stream: Any, reconstruction: Reconstruction, truth: Truth | None) -
     _log_map(stream, reconstruction, uncertain, other)
     for item in reconstruction.objects:
         _log_mesh(stream, item, object_colour(item.class_index - 1))
+    log_boxes(stream, reconstruction.objects)
     if reconstruction.other is not None:
         stream.log("world/meshes/other", _mesh3d(reconstruction.other.mesh, colour=OTHER_COLOUR), static=True)
     for label, mesh in (truth or {}).items():
         stream.log(f"world/truth/{label}", _mesh3d(mesh, colour=TRUTH_COLOUR), static=True)
     if reconstruction.objects:
         _log_slice(stream, reconstruction)
-    _log_text(stream, _summary(reconstruction))
+    _log_text(stream, run_summary(reconstruction))
 
 
 def _log_table(stream: Any, T_world_table: np.ndarray, upright: bool) -> None:
@@ -144,6 +161,9 @@ def _log_table(stream: Any, T_world_table: np.ndarray, upright: bool) -> None:
     axes = rr.ViewCoordinates.RIGHT_HAND_Z_UP if upright else rr.ViewCoordinates.RDF
     pose = rr.Transform3D(translation=T_world_table[:3, 3], mat3x3=T_world_table[:3, :3])
     stream.log("world/table", pose, axes, static=True)
+    log_axes(stream, "world/axes", "world")
+    log_axes(stream, "world/table/axes", "table")
+    log_colour_bar(stream)
 
 
 def _log_classes(stream: Any, reconstruction: Reconstruction) -> tuple[int, int]:
@@ -211,9 +231,7 @@ def _log_map(stream: Any, reconstruction: Reconstruction, uncertain: int, other:
     if losses:
         steps = rr.TimeColumn("step", sequence=range(len(losses)))
         stream.send_columns("fit/loss", indexes=[steps], columns=rr.Scalars.columns(scalars=losses))
-    timings = [value for stage, value in reconstruction.timings_ms.items() if stage != "total"]
-    if timings:
-        stream.log("timings", rr.BarChart(timings, color=object_colour(0)), static=True)
+    log_stages(stream, reconstruction.timings_ms)
 
 
 def _log_mesh(stream: Any, item: ReconstructedObject | StoredObject, colour: tuple[int, ...]) -> None:
@@ -254,40 +272,16 @@ def _log_text(stream: Any, text: str) -> None:
     stream.log("summary", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
 
 
-def _summary(reconstruction: Reconstruction) -> str:
-    """Objects, timings, fit and what was skipped, as Markdown."""
-    report, support = reconstruction.map.report, reconstruction.observation.support
-    end = "converged" if report.converged else "stopped"
-    lines = _object_lines(reconstruction.objects) + _timing_lines(reconstruction.timings_ms)
-    lines += ["", f"Fit: {end} after {report.iterations} steps, seed {reconstruction.seed}."]
-    if support is not None:
-        lines += ["", f"Support plane: {support.inlier_ratio:.0%} of the unlabelled pixels lie on it."]
-    lines += [f"- skipped {item.name} (label {item.label}): {item.reason}" for item in reconstruction.skipped]
-    lines += [f"- {note}" for note in reconstruction.notes]
-    return "\n".join(lines)
-
-
-def _object_lines(objects: Sequence[ReconstructedObject | StoredObject]) -> list[str]:
-    lines = ["| object | size [cm] | mean p(uncertain) |", "|---|---|---|"]
-    for item in objects:
-        size = " x ".join(f"{100 * extent:.1f}" for extent in item.extents)
-        mean = float(np.mean(item.uncertainty))
-        lines.append(f"| {item.label} {_escape(item.name)} | {size} | {mean:.2f} |")
-    return lines
-
-
-def _timing_lines(timings_ms: Mapping[str, float]) -> list[str]:
-    rows = [f"| {stage} | {value:.1f} |" for stage, value in timings_ms.items()]
-    return ["", "| stage | ms |", "|---|---|", *rows]
-
-
-def _escape(name: str) -> str:
-    return "".join(c if c.isalnum() or c in " ._-" else f"&#{ord(c)};" for c in name)
-
-
 def _blueprint(reconstruction: Reconstruction) -> Any:
-    T_table_world = invert_rigid(reconstruction.T_world_table)
-    axes = table_axes(reconstruction) @ T_table_world[:3, :3].T  # in the table frame
-    meshes = [item.mesh.vertices for item in reconstruction.objects]
-    points = transform(T_table_world, np.concatenate(meshes)) if meshes else reconstruction.samples
-    return run_blueprint(*first_view(points.min(0), points.max(0), axes[0], axes[2]), axes[2])
+    upright = reconstruction.observation.support is not None
+    return run_blueprint(*_view(reconstruction.objects, reconstruction.T_world_table, upright))
+
+
+def _view(
+    objects: Sequence[ReconstructedObject | StoredObject], T_world_table: np.ndarray, upright: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Eye, target and up (3,) of the first view, in the table frame [m]."""
+    axes = directions(upright)
+    parts = [np.asarray(item.mesh.vertices) for item in objects]
+    points = transform(invert_rigid(T_world_table), np.concatenate(parts)) if parts else 0.1 * axes
+    return first_view(points.min(0), points.max(0), axes)

@@ -67,9 +67,15 @@ def table_axes(reconstruction: Reconstruction) -> np.ndarray:
     With a support plane these are the table frame's axes; without one, the camera's.
     """
     R = reconstruction.T_world_table[:3, :3]
-    if reconstruction.observation.support is not None:
-        return R.T.copy()
-    return np.stack([R[:, 2], -R[:, 0], -R[:, 1]])
+    return directions(reconstruction.observation.support is not None) @ R.T
+
+
+def directions(upright: bool) -> np.ndarray:
+    """Rows (3, 3): the directions away from the camera, to its left, and up, in the table frame.
+
+    upright: whether there is a support; without one, the table frame is the camera's.
+    """
+    return np.eye(3) if upright else np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 def slice_uncertainty(reconstruction: Reconstruction, config: SliceConfig | None = None) -> UncertaintySlice:
