@@ -122,6 +122,8 @@ def _mind_what_was_seen(
         # A gap in the depth image is known to be free no further than the nearest thing around it.
         nearest = _nearest(observation, np.isfinite(observation.depth), GAP)
         label[blind & (sight.depth > nearest[sight.pixel] - TOUCHING)] = NOTHING
+    # Beyond the image's border nothing was seen to be free, whatever the map makes of it.
+    label[(sight.pixel < 0) & (label == EMPTY)] = NOTHING
     empty = label == EMPTY
     support |= empty & hit & (seen == SUPPORT)
     beside = empty & _at_obstacle(observation, sight)

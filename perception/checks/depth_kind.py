@@ -28,6 +28,9 @@ FLAT = 0.04
 """... to this share of the spread ..."""
 RIVAL = 0.75
 """... and z must have no plane with this share of its pixels that fits as well."""
+BENDS = 0.1
+"""A plane whose depth changes by a smaller share is as flat in z as in its inverse: it tells them not
+apart."""
 WORDS = {
     "ray": (
         "the length of the ray, not z along the camera's axis",
@@ -81,6 +84,9 @@ def check_depth_kind(
     for kind, other in (("ray", length / value), ("inverse", value)):
         fit = _largest_plane(pixel, other, rng)
         if fit.inside.mean() < LEAST_SHARE or fit.error > FLAT:
+            continue
+        low, high = np.quantile(value[fit.inside], [0.05, 0.95])
+        if kind == "inverse" and high < (1 + BENDS) * low:
             continue
         bent = _error(pixel[fit.inside], straight[fit.inside])
         rival = plain.inside.sum() > RIVAL * fit.inside.sum() and plain.error < BETTER * fit.error

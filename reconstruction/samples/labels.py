@@ -10,6 +10,13 @@ import numpy as np
 
 from reconstruction.config import TabletopLabels
 
+OUTSIDE_DOUBT = 0.5
+"""Share of "uncertain" in the label of a sample outside the image, at least."""
+OUTSIDE_LEAN = 1.6
+"""Outside the image an object counts this many times against empty space ..."""
+OUTSIDE_SHARP = 3.0
+"""... and the likelier of the two counts by this power."""
+
 
 def hidden(rules: TabletopLabels, structure: np.ndarray, least: float | None = None) -> np.ndarray:
     """Labels (N, K+2) of occluded samples with class distributions (N, K+1): what is there, as far as it
@@ -20,6 +27,21 @@ def hidden(rules: TabletopLabels, structure: np.ndarray, least: float | None = N
     least = rules.least_uncertain if least is None else least
     doubt = least + (rules.most_uncertain - least) * np.minimum(2 * (1 - structure.max(1)), 1)
     return np.column_stack([structure * (1 - doubt)[:, None], doubt])
+
+
+def outside(rules: TabletopLabels, structure: np.ndarray) -> np.ndarray:
+    """Labels (N, K+2) of samples outside the image with class distributions (N, K+1): unsure, for no ray
+    could have passed there, but of the one shape that is likely to overlap most with the true one.
+
+    Place by place a cut object ends where it is as likely as not; then half of what is likely is missing
+    everywhere along its end.
+    """
+    doubt = hidden(rules, structure, OUTSIDE_DOUBT)[:, -1:]
+    lean = structure.copy()
+    lean[:, 1:] *= OUTSIDE_LEAN
+    lean **= OUTSIDE_SHARP
+    lean /= lean.sum(1, keepdims=True)
+    return np.concatenate([lean * (1 - doubt), doubt], axis=1)
 
 
 def pair(rules: TabletopLabels, classes: np.ndarray, doubt: np.ndarray, count: int) -> np.ndarray:

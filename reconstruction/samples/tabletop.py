@@ -17,8 +17,9 @@ from reconstruction.samples.even_noise import spread_evenly
 from reconstruction.samples.hinge_points import hinge_points
 from reconstruction.samples.obstacles import near_obstacles, obstacle_samples
 from reconstruction.samples.open_space import OpenSpace, below_support, feet, open_space
+from reconstruction.samples.reach_down import FOOT_GAP
 from reconstruction.samples.scope import Scope
-from reconstruction.samples.structure import FOOT_GAP, structure
+from reconstruction.samples.structure import structure
 from reconstruction.samples.surfaces import SurfaceSamples, surface_samples
 from reconstruction.samples.training_set import TrainingSet, assemble
 
@@ -26,7 +27,8 @@ GUESSED_DOUBT = 0.3
 """The chance that a surface that was guessed is not there."""
 
 COLUMN = 0.3
-"""Hidden samples this likely of an object that is guessed to reach far down get hinge points of their own."""
+"""Hidden samples this likely of an object that is guessed to reach far down, or beyond the image, get hinge
+points of their own."""
 UPWARDS = np.array([1, 1, -1], np.float32)
 """Mirrors points at the support plane."""
 
@@ -87,13 +89,18 @@ class _Drawn:
     @property
     def asked(self) -> np.ndarray:
         """Places (N, 3) whose class has to be guessed; those of the foot are mirrored at the support."""
-        foot = self.foot * UPWARDS
-        foot[:, 2] += np.float32(2 * self.scope.floor)
-        asked = np.concatenate([self.surface.inside, self.surface.wall, foot, self.around.hidden])
+        asked = np.concatenate([self.surface.inside, self.surface.wall, self._over_foot, self.around.hidden])
         if self.scope.supported:
             # What lies under the support is empty to the prior; a pair at an object's foot may reach there.
             asked[:, 2] = np.maximum(asked[:, 2], np.float32(self.scope.floor))
         return asked
+
+    @property
+    def _over_foot(self) -> np.ndarray:
+        """Samples under feet (N, 3) mirrored at the support: right over it."""
+        over = self.foot * UPWARDS
+        over[:, 2] += np.float32(2 * self.scope.floor)
+        return over
 
     def labelled(self, guess: np.ndarray) -> tuple[list[Labelled], np.ndarray, np.ndarray]:
         """All samples with labels, from the guess (N, K+1) at the places asked; samples (M, 3) in thin walls;
@@ -104,8 +111,12 @@ class _Drawn:
         rows, count = np.arange(len(surface.owner)), guess.shape[1]
         fill = at_wall[rows, surface.owner]
         # The thin shell is a rule of thumb: nothing it says of hidden space is beyond doubt.
-        least = None if config.prior == "learned" else config.labels.most_uncertain / 2
-        hidden, guessed = self.around.hidden, labels.hidden(config.labels, at_hidden, least)
+        rules, hidden = config.labels, self.around.hidden
+        sure = rules.least_uncertain if config.prior == "learned" else rules.most_uncertain / 2
+        outside = self.scope.space.pixel_of(hidden) < 0
+        guessed = labels.hidden(rules, at_hidden, sure)
+        guessed[outside] = labels.outside(rules, at_hidden[outside])
+        columns = hidden[self._columns(hidden, at_hidden) | outside & (at_hidden[:, 1:].max(1) > COLUMN)]
         if config.noise != "occluded":
             scope = self.scope
             near, box = config.noise == "near", (scope.low, scope.high)
@@ -120,14 +131,17 @@ class _Drawn:
         if config.pairs:
             soft.append((surface.before, labels.pair(config.labels, surface.owner * 0, unsure, count)))
             soft.append((surface.wall, labels.wall(config.labels, surface.owner, 1 - fill, count)))
+        # Nothing is seen of a foot that hangs in the air: the empty samples under it need a match.
+        standing = self._columns(self._over_foot, at_foot)
+        soft.append((self._over_foot[standing], labels.hidden(config.labels, at_foot[standing])))
         thin = surface.inside[(fill < config.thin) | surface.flat]
-        return soft, thin, self._columns(at_hidden)
+        return soft, thin, columns
 
-    def _columns(self, at_hidden: np.ndarray) -> np.ndarray:
-        """Hidden samples (L, 3) of objects whose visible part ends high above their support."""
-        points = self.around.hidden
+    def _columns(self, points: np.ndarray, guess: np.ndarray) -> np.ndarray:
+        """Which hidden samples (N, 3) are likely, by their guess (N, K+1), of an object whose visible part
+        ends high above its support and them: (N,) bool."""
         kept = np.zeros(len(points), bool)
         for item, own in zip(self.scope.items, self.scope.classes):
             if self.scope.supported and item.bounds[0][2] - item.floor > FOOT_GAP:
-                kept |= (at_hidden[:, own] > COLUMN) & (points[:, 2] < item.bounds[0][2])
-        return points[kept]
+                kept |= (guess[:, own] > COLUMN) & (points[:, 2] < item.bounds[0][2])
+        return kept

@@ -1,0 +1,121 @@
+"""Objects whose foot nobody saw: seen from straight above, or cut by the image's border, they do not hover.
+
+Knows what is seen of one object, its support and what the prior guesses; knows nothing of labels or the fit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from perception.observation import Observation, ObservedObject
+from perception.space import Space
+from reconstruction.prior.evidence import hidden_labels
+from reconstruction.prior.features import ObjectBox
+from reconstruction.prior.footprint import CELLS, Footprint
+
+FOOT_GAP = 0.02
+"""An object whose visible part ends higher above its support than this may lack a foot [m]."""
+STANDING = 0.5
+"""It lacks one where nowhere on its support it is as probable as this."""
+COVERED = 0.5
+"""It lies on something else where that stands under more than this share of it."""
+REACH_DOWN = 0.75
+"""Such an object goes down to its support with this probability where it is above: unsure, but there."""
+STEEP = 0.9
+"""Cosine between the line of sight and the support's normal from which on a top hides the foot under it."""
+BORDER = 2
+"""An object whose pixels come this near to the image's border goes on beyond it [px]."""
+JUST_UNDER = 0.006
+"""Where an object is above is asked this far under the end of its visible part [m]."""
+EDGE = 0.002
+"""A place this far within the outline of what is seen above it lies under it with some certainty [m]."""
+NARROW = 0.4
+"""Parts narrower than this share of the widest, seen from above, need not go down: handles and spouts."""
+
+
+def may_lack_foot(item: ObservedObject, observation: Observation, space: Space) -> bool:
+    """Whether what is seen of an object ends above its support because nobody could see more of it."""
+    hangs = item.bounds[0][2] - item.floor > FOOT_GAP
+    return bool(hangs and (seen_from_above(item, space) or cut_off(item, observation)))
+
+
+def seen_from_above(item: ObservedObject, space: Space) -> bool:
+    """Whether an object is seen so steeply that its top hides its foot."""
+    sight = space.origin - np.mean(item.bounds, axis=0)
+    return bool(sight[2] > STEEP * np.linalg.norm(sight))
+
+
+def cut_off(item: ObservedObject, observation: Observation) -> bool:
+    """Whether an object goes on beyond the image."""
+    height, width = observation.depth.shape
+    rows, columns = np.divmod(item.pixels, width)
+    ends = rows.min(), height - 1 - rows.max(), columns.min(), width - 1 - columns.max()
+    return bool(min(ends) < BORDER)
+
+
+def reach_down(
+    observation: Observation, space: Space, index: int, points: np.ndarray, guess: np.ndarray
+) -> None:
+    """Give object `index` a foot in its guess (N, K+1) at hidden points (N, 3), in place, if it lacks one."""
+    item = observation.objects[index]
+    low, high = item.bounds
+    above = seen_from_above(item, space)
+    column = ((points[:, :2] > low[:2] - FOOT_GAP) & (points[:, :2] < high[:2] + FOOT_GAP)).all(1)
+    column &= points[:, 2] < (high[2] if above else low[2])
+    ground = column & (points[:, 2] < item.floor + FOOT_GAP / 4)
+    own = index + 1
+    if not ground.any() or (guess[ground, own] > STANDING).any():
+        return
+    rows = np.flatnonzero(column)
+    if above:
+        there = _under_plan(item, space, points[rows])
+    else:
+        there = _under_end(observation, space, index, points[rows])
+    others = guess[rows].sum(1) - guess[rows, 0] - guess[rows, own]
+    foot = ground[rows] & (there > STANDING)
+    if foot.any() and (others[foot] > STANDING).mean() > COVERED:
+        return  # something else stands where it would: it lies on that
+    share = np.maximum(guess[rows, own], REACH_DOWN * there * (1 - others))
+    guess[rows, 0] = np.maximum(1 - others - share, 0)
+    guess[rows, own] = share
+
+
+def _under_plan(item: ObservedObject, space: Space, points: np.ndarray) -> np.ndarray:
+    """Chance (N,) that an object seen from above goes down through hidden points (N, 3): all that lies under
+    what is seen of it, down to the support, but for parts much narrower than the rest."""
+    lift = np.array([0, 0, item.floor], np.float32)
+    visible = item.outline - lift
+    box = ObjectBox.around(visible, space.origin - lift)
+    plan = Footprint.of(box, visible)
+    local = box.local(points - lift)
+    inside, _ = plan.at(box, local)
+    there = 1 / (1 + np.exp(-inside / EDGE))
+    cell = np.clip((local[:, :2] + 1) * (CELLS / 2), 0, CELLS - 1).astype(np.int32)
+    wide = _without_narrow_parts(plan.distance[0], float(box.size[0]) / CELLS)[cell[:, 0], cell[:, 1]]
+    return np.where(wide, there, STANDING * there).astype(np.float32)
+
+
+def _without_narrow_parts(distance: np.ndarray, cell: float) -> np.ndarray:
+    """What is left (n, n) bool of a plan without parts narrower than NARROW of the widest.
+
+    distance: (n, n) [m] to its border, positive inside; cell: side of its cells [m].
+    """
+    import cv2
+
+    radius = NARROW * float(distance.max())
+    core = (distance > radius).astype(np.uint8)
+    apart = cv2.distanceTransform(1 - core, cv2.DIST_L2, 5)
+    return np.asarray(apart * cell <= radius + cell)
+
+
+def _under_end(observation: Observation, space: Space, index: int, points: np.ndarray) -> np.ndarray:
+    """Chance (N,) that an object whose visible part ends above hidden points (N, 3) goes down through them:
+    that it is right under that end, above them."""
+    item = observation.objects[index]
+    above = points.copy()
+    above[:, 2] = item.bounds[0][2] - JUST_UNDER
+    there = hidden_labels(observation, space, above)[:, index + 1]
+    # Where the visible part itself is right above, no guess is needed.
+    apart = cKDTree(item.outline[::2, :2]).query(points[:, :2], distance_upper_bound=2 * JUST_UNDER)[0]
+    return np.where(apart < JUST_UNDER, 1.0, there)

@@ -1,0 +1,63 @@
+"""Objects cut by the image's border or seen from straight above: on their support, unsure where unseen."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from conftest import Shape, Tabletop, make_tabletop, shape_mesh
+from trimesh import Trimesh
+
+from perception import Camera, Frame, observe
+from perception.camera import invert_rigid, transform
+from reconstruction import reconstruct
+from reconstruction.metrics import mesh_iou
+
+CUT = 3
+"""The cylinder, cut by the image's lower border."""
+
+
+def without_rows(frame: Frame, last: int) -> Frame:
+    """The image above a row."""
+    camera = Camera(frame.camera.K, frame.camera.width, last, frame.camera.T_world_camera)
+    assert frame.labels is not None
+    return Frame(frame.depth[:last], camera, None, frame.labels[:last], frame.names, trust=frozenset({"K"}))
+
+
+def true_mesh(shape: Shape) -> Trimesh:
+    legacy = shape_mesh(shape)
+    return Trimesh(np.asarray(legacy.vertices), np.asarray(legacy.triangles))
+
+
+def test_a_cut_object_stands_on_its_support_and_nothing_beyond_the_border_is_free(tabletop: Tabletop) -> None:
+    rows = np.flatnonzero((tabletop.true_labels == CUT).any(1))
+    frame = without_rows(tabletop.frame, int(rows[0] + 0.65 * len(rows)))
+    result = reconstruct(frame)
+    mesh = next(item.mesh for item in result.objects if item.label == CUT)
+    true = true_mesh(tabletop.shapes[CUT - 1])
+    assert mesh.bounds[0][2] < 0.005
+    assert mesh_iou(mesh, true) > 0.7
+    points = np.random.default_rng(0).uniform(*true.bounds, (4000, 3))
+    local = transform(invert_rigid(frame.camera.T_world_camera), points)
+    row = local[:, 1] / local[:, 2] * frame.camera.K[1, 1] + frame.camera.K[1, 2]
+    beyond = points[row > frame.camera.height]
+    assert len(beyond) > 500
+    answer = result.query(beyond)
+    assert not answer.free.any()
+    assert answer.uncertainty.mean() > 0.5
+
+
+def test_a_jug_seen_from_straight_above_is_as_wide_as_its_top() -> None:
+    tall = Shape("cylinder", (0.05, 0.22), (0.10, 0.05, 0.11))
+    handle = Shape("box", (0.05, 0.02, 0.03), (0.17, 0.05, 0.18))
+    scene = make_tabletop((tall, handle), eye=(0.0, 0.0, 0.8), target=(0.0, 0.0, 0.0))
+    assert scene.frame.labels is not None
+    labels = np.where(scene.frame.labels == 2, 1, scene.frame.labels).astype(np.uint16)
+    (item,) = reconstruct(dataclasses.replace(scene.frame, labels=labels)).objects
+    assert item.mesh.bounds[0][2] < 0.005
+    assert mesh_iou(item.mesh, true_mesh(tall)) > 0.8
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.02])
+def test_a_table_without_slant_tells_no_kind_of_depth(tilt: float) -> None:
+    scene = make_tabletop(eye=(-tilt, 0.0, 0.8), target=(0.0, 0.0, 0.0))
+    assert len(observe(scene.frame).objects) == 4
