@@ -11,9 +11,10 @@ from solids import BALL, BALL_RADIUS, reconstructed_tabletop, true_meshes
 
 from perception.camera import invert_rigid, transform
 from perception.observation import Skipped
-from reconstruction.pictures.overview import WIDTH, compose_overview, draw_overview
+from reconstruction.pictures.overview import WIDTH, _scale_bar, compose_overview, draw_overview
 from reconstruction.pictures.palette import object_colour, uncertainty_colours
 from reconstruction.pictures.slices import SliceConfig, _shared_height, slice_uncertainty, table_axes
+from reconstruction.pictures.tags import place
 
 
 @pytest.fixture(scope="module")
@@ -99,3 +100,48 @@ def test_slice_height_cuts_as_many_objects_as_possible():
     low, high = np.array([0.0, 0.0, 0.0]), np.array([0.20, 0.24, 0.06])  # two tall, one flat
     assert _shared_height(low, high) == pytest.approx(0.03)
     assert _shared_height(np.array([0.0, 0.3]), np.array([0.1, 0.4])) in (0.05, 0.35)  # one above the other
+
+
+def test_names_leave_small_objects_and_one_another_free():
+    rng = np.random.default_rng(0)
+    masks = []
+    for corner in rng.uniform((20, 60), (330, 440), (9, 2)).astype(int):
+        mask = np.zeros((381, 508), bool)
+        mask[corner[0] : corner[0] + 14, corner[1] : corner[1] + 18] = True
+        masks.append(mask)
+    places = place(masks, [120.0] * len(masks))
+    drawn = np.zeros((381, 508), int)
+    for left, top, right, bottom in places:
+        assert 0 <= left < right <= 508
+        assert 0 <= top < bottom <= 381
+        drawn[int(top) : int(bottom), int(left) : int(right)] += 1
+    assert drawn.max() == 1
+    assert all(drawn[mask].mean() < 0.1 for mask in masks)
+
+
+@pytest.mark.parametrize("metres_per_pixel", [1e-5, 3e-4, 9e-4, 4e-3, 0.02])
+def test_the_scale_bar_is_round_and_leaves_the_middle_free(metres_per_pixel):
+    centimetres, width = _scale_bar(metres_per_pixel)
+    assert width == pytest.approx(centimetres / 100 / metres_per_pixel)
+    assert 40 < width <= 130
+    assert float(f"{centimetres:e}".split("e")[0]) in (1, 2, 5)
+
+
+@pytest.mark.parametrize(("tilt", "roll"), [(-12, 0), (12, 90)])
+def test_from_above_the_pictures_are_turned_as_the_image_is(reconstruction, tilt, roll):
+    from scipy.spatial.transform import Rotation
+
+    down = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
+    pose = np.eye(4)
+    pose[:3, :3] = (down * Rotation.from_euler("xz", [tilt, roll], degrees=True)).as_matrix()
+    camera = dataclasses.replace(reconstruction.frame.camera, T_world_camera=pose)
+    seen = dataclasses.replace(
+        reconstruction,
+        frame=dataclasses.replace(reconstruction.frame, camera=camera),
+        T_world_table=np.eye(4),
+    )
+    away, left, up = table_axes(seen)
+    np.testing.assert_allclose(up, [0, 0, 1], atol=1e-9)
+    np.testing.assert_allclose(np.cross(up, away), left, atol=1e-9)
+    assert away @ -pose[:3, 1] > 0.97  # the image's upward direction
+    assert left @ -pose[:3, 0] > 0.97

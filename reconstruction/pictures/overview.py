@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import trimesh
@@ -15,6 +15,7 @@ from reconstruction.pictures.near_origin import near_origin
 from reconstruction.pictures.palette import OTHER_COLOUR, object_colour, uncertainty_colours
 from reconstruction.pictures.shading import View, cast, frame_meshes
 from reconstruction.pictures.slices import slice_uncertainty, table_axes
+from reconstruction.pictures.tags import Tag, draw_tags
 
 if TYPE_CHECKING:
     from reconstruction.result import ReconstructedObject, Reconstruction
@@ -26,6 +27,7 @@ GAP = 19
 TITLE = 34
 FAINT = (122, 128, 138)
 SIDE_AZIMUTH = 28.0  # [degrees] off the sensor's heading, so that two sides of each object show
+LONGEST_BAR = 130  # [px]
 BESIDE = 0.03  # [m] what stands this close to the objects, without a label, is drawn in grey
 SIDE_ELEVATION = 30.0  # [degrees] above the table
 
@@ -127,6 +129,7 @@ def _photo_panel(reconstruction: Reconstruction) -> Image.Image:
     scale = min(PANEL[0] / labels.shape[1], PANEL[1] / labels.shape[0])
     size = (round(labels.shape[1] * scale), round(labels.shape[0] * scale))
     canvas = cv2.resize(photo, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
+    corner = ((PANEL[0] - size[0]) // 2, (PANEL[1] - size[1]) // 2)
     tags = []
     for item in reconstruction.objects:
         mask = cv2.resize((labels == item.label).astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
@@ -136,13 +139,12 @@ def _photo_panel(reconstruction: Reconstruction) -> Image.Image:
         )
         cv2.drawContours(canvas, contours, -1, (255, 255, 255), 4, cv2.LINE_AA)
         cv2.drawContours(canvas, contours, -1, _colour(item), 2, cv2.LINE_AA)
-        if contours:
-            x, y, w, _ = cv2.boundingRect(max(contours, key=cv2.contourArea))
-            tags.append((x + w / 2, y, _shorten(item.name, 22), _colour(item)))
+        place = np.zeros(PANEL[::-1], bool)
+        place[corner[1] : corner[1] + size[1], corner[0] : corner[0] + size[0]] = mask > 0.5
+        tags.append(Tag(_shorten(item.name, 22), _colour(item), place))
     panel = Image.new("RGB", PANEL, (247, 248, 250))
-    corner = ((PANEL[0] - size[0]) // 2, (PANEL[1] - size[1]) // 2)
     panel.paste(Image.fromarray(canvas), corner)
-    _place_tags(ImageDraw.Draw(panel), [(x + corner[0], y + corner[1], *rest) for x, y, *rest in tags])
+    draw_tags(ImageDraw.Draw(panel), tags)
     return panel
 
 
@@ -166,24 +168,6 @@ def _grey_depth(depth: np.ndarray) -> np.ndarray:
     near, far = np.nanpercentile(depth, [1, 99])
     grey = 230 - 180 * np.clip((depth - near) / max(far - near, 1e-6), 0, 1)
     return np.repeat(np.nan_to_num(grey).astype(np.uint8)[..., None], 3, axis=2)
-
-
-def _place_tags(draw: ImageDraw.ImageDraw, tags: list[tuple[Any, ...]]) -> None:
-    """Write names above their objects, moved until they do not cover one another."""
-    letters = font(13)
-    placed: list[tuple[float, float, float, float]] = []
-    for x, y, text, colour in sorted(tags, key=lambda tag: tag[1]):
-        width, height = draw.textlength(text, letters) + 10, 19
-        left = min(max(x - width / 2, 2), PANEL[0] - width - 2)
-        top = max(y - height - 4, 2)
-        while any(
-            left < r and x0 < left + width and top < b and y0 < top + height for x0, y0, r, b in placed
-        ):
-            top += 3
-        top = min(top, PANEL[1] - height - 2)
-        placed.append((left, top, left + width, top + height))
-        draw.rounded_rectangle((left, top, left + width, top + height), 5, colour)
-        draw.text((left + width / 2, top + height / 2), text, (255, 255, 255), letters, anchor="mm")
 
 
 def _slice_panel(
@@ -213,15 +197,22 @@ def _slice_panel(
         draw(mesh, (255, 255, 255), 2, dash=True)  # a light rim, to be seen on dark blue
         draw(mesh, (20, 20, 24), 1, dash=True)
     panel = Image.fromarray(canvas)
-    bar = 0.1 / section.spacing * zoom[0]
+    centimetres, bar = _scale_bar(section.spacing / zoom[0])
     y = PANEL[1] - 16
     pen = ImageDraw.Draw(panel)
     pen.rounded_rectangle((10, y - 24, 26 + max(bar, 44), y + 8), 5, (255, 255, 255))
     pen.line((18, y, 18 + bar, y), TEXT_COLOUR, 3)
-    pen.text((18, y - 12), "10 cm", TEXT_COLOUR, font(12), anchor="lm")
+    pen.text((18, y - 12), f"{centimetres:g} cm", TEXT_COLOUR, font(12), anchor="lm")
     pen.rounded_rectangle((PANEL[0] / 2 - 47, y - 8, PANEL[0] / 2 + 47, y + 12), 5, (255, 255, 255))
     pen.text((PANEL[0] / 2, y + 2), "camera's side", TEXT_COLOUR, font(12), anchor="mm")
     return panel, section.height
+
+
+def _scale_bar(metres_per_pixel: float) -> tuple[float, float]:
+    """Length [cm] and width [px] of the longest round scale bar that leaves the middle of the panel free."""
+    round_lengths = [mantissa * 10.0**power for power in range(-2, 5) for mantissa in (1, 2, 5)]
+    widths = [(length, length / 100 / metres_per_pixel) for length in round_lengths]
+    return max(((length, width) for length, width in widths if width <= LONGEST_BAR), default=widths[0])
 
 
 def _dashes(segments: np.ndarray, length: float = 5.0) -> np.ndarray:

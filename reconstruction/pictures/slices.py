@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from reconstruction.result import Reconstruction
 
 
+STEEP = 0.85
+"""Cosine between the line of sight and the vertical from which on a picture's upper side is the image's."""
+
+
 @dataclass(frozen=True)
 class SliceConfig:
     """Which part of space the slice shows."""
@@ -64,10 +68,18 @@ class UncertaintySlice:
 def table_axes(reconstruction: Reconstruction) -> np.ndarray:
     """Rows (3, 3): the directions away from the camera, to its left, and up, in the world frame.
 
-    With a support plane these are the table frame's axes; without one, the camera's.
+    With a support plane these are the table frame's axes, turned about up as the image is where the camera
+    looks steeply down; without one, the camera's.
     """
     R = reconstruction.T_world_table[:3, :3]
-    return directions(reconstruction.observation.support is not None) @ R.T
+    supported = reconstruction.observation.support is not None
+    axes = directions(supported) @ R.T
+    _, downward, view = reconstruction.frame.camera.T_world_camera[:3, :3].T
+    if not supported or abs(view @ axes[2]) < STEEP:
+        return axes
+    away = -downward + (downward @ axes[2]) * axes[2]
+    away = away / np.linalg.norm(away)
+    return np.stack([away, np.cross(axes[2], away), axes[2]])
 
 
 def directions(upright: bool) -> np.ndarray:
