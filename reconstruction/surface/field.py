@@ -85,6 +85,17 @@ def within(part: Window, window: Window) -> Window:
     return x, y, z
 
 
+def extent(nodes: np.ndarray) -> Window | None:
+    """The smallest window of a lattice that holds all nodes (nx, ny, nz) bool; None where there are none."""
+    above = nodes.any(0)
+    held = nodes.reshape(len(nodes), -1).any(1), above.any(1), above.any(0)
+    if not held[0].any():
+        return None
+    ends = (np.flatnonzero(along)[[0, -1]] for along in held)
+    x, y, z = (slice(int(first), int(last) + 1) for first, last in ends)
+    return x, y, z
+
+
 def evaluate_field(
     model: ContraMap,
     lows: np.ndarray,

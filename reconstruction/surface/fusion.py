@@ -7,9 +7,9 @@ was seen raises it, and the map answers everywhere else. Knows lattices and read
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
 
 from reconstruction.config import FusionConfig
+from reconstruction.surface.field import extent
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
 from reconstruction.surface.seen_surface import Edges
 
@@ -53,7 +53,7 @@ def fuse(
     at_nodes, cap, unknown = _read(at_nodes, nodes, raised.shape, corner, spacing, edges, config)
     raised.reshape(-1)[nodes] = at_nodes
     # Holes of up to two cells in what nobody saw are the map's noise.
-    closed = ndimage.grey_closing(raised, 3).reshape(-1)[nodes]
+    closed = _closed(raised).reshape(-1)[nodes]
     at_nodes = np.where(unknown, closed, at_nodes)
     raised.reshape(-1)[nodes] = at_nodes
     fused = raised.copy()
@@ -65,8 +65,7 @@ def fuse(
     active |= seen_cells & (lowest < NEAR) & (highest > -NEAR)
     fine = _nodes_of_cells(active, config.refine)
     # Elsewhere only the sign counts: that of a node of the cell.
-    first = [np.arange(n) // config.refine for n in fine.shape]
-    values = fused[np.ix_(*first)]
+    values = _spread(fused, config.refine)
     nodes = np.flatnonzero(fine)
     fine_spacing = spacing / config.refine
     odds = upsample(raised, config.refine).reshape(-1)[nodes]
@@ -88,10 +87,7 @@ def _read(
     config: FusionConfig,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """At flat nodes (M,) of a lattice: log odds (M,) raised by what was seen, the cap, and who nobody saw."""
-    points = np.stack(np.unravel_index(nodes, shape), axis=1).astype(np.float32)
-    points *= np.float32(spacing)
-    points += corner.astype(np.float32)
-    reading = edges.read(points)
+    reading = edges.read(_places(nodes, shape, corner, spacing))
     raised = np.maximum(odds, PER_METRE * (np.float32(config.wall) - reading.depth))
     # What was seen of another object is that object's.
     theirs = PER_METRE * (reading.others - np.float32(config.wall))
@@ -101,9 +97,21 @@ def _read(
     return np.clip(raised, -LIMIT, LIMIT), cap, unknown
 
 
+def _places(nodes: np.ndarray, shape: tuple[int, ...], corner: np.ndarray, spacing: float) -> np.ndarray:
+    """Where flat nodes (M,) of a lattice are: (M, 3) float32 [m], column by column in memory."""
+    nodes = nodes.astype(np.int32)  # divided in a fraction of the time
+    places = np.empty((3, len(nodes)), np.float32)
+    for axis in reversed(range(3)):
+        line = np.arange(shape[axis], dtype=np.float32) * np.float32(spacing) + np.float32(corner[axis])
+        rest = nodes // np.int32(shape[axis])
+        places[axis] = line.take(nodes - rest * np.int32(shape[axis]))
+        nodes = rest
+    return places.T
+
+
 def upsample(values: np.ndarray, factor: int) -> np.ndarray:
     """Linear interpolation of (nx, ny, nz) to factor times as many cells an axis."""
-    for axis in range(3):
+    for axis in (2, 1, 0):  # along the first axis whole planes are added, so that comes last
         shape = list(values.shape)
         shape[axis] = factor * (shape[axis] - 1) + 1
         fine = np.empty(shape, np.float32)
@@ -124,11 +132,10 @@ def upsample(values: np.ndarray, factor: int) -> np.ndarray:
 def _box_of(nodes: np.ndarray) -> tuple[tuple[slice, ...], np.ndarray]:
     """The part of a lattice that holds all of some nodes and, where there are any, two more on each side; and
     its first node (3,)."""
-    ends = []
-    for axis in range(3):
-        along = np.flatnonzero(nodes.any(tuple(other for other in range(3) if other != axis)))
-        first, last = (along[0], along[-1]) if len(along) else (0, 0)
-        ends.append(slice(max(int(first) - 2, 0), min(max(int(last) + 3, 2), nodes.shape[axis])))
+    ends = [
+        slice(max(part.start - 2, 0), min(max(part.stop + 2, 2), count))
+        for part, count in zip(extent(nodes) or (slice(0, 1),) * 3, nodes.shape)
+    ]
     return tuple(ends), np.array([part.start for part in ends])
 
 
@@ -160,10 +167,23 @@ def _range_in_cells(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return least, greatest
 
 
+def _spread(values: np.ndarray, factor: int) -> np.ndarray:
+    """Values (nx, ny, nz) on `factor` times as many cells an axis, each node's as far as the next node's."""
+    for axis in (2, 1, 0):  # along the first axis whole planes are copied, so that comes last
+        shape = list(values.shape)
+        shape[axis] = factor * (shape[axis] - 1) + 1
+        fine = np.empty(shape, values.dtype)
+        part, nodes = ([slice(None)] * 3 for _ in range(2))
+        for step in range(factor):
+            part[axis], nodes[axis] = slice(step, None, factor), slice(None, -1 if step else None)
+            fine[tuple(part)] = values[tuple(nodes)]
+        values = fine
+    return values
+
+
 def _nodes_of_cells(cells: np.ndarray, factor: int) -> np.ndarray:
     """Fine nodes (factor n + 1 an axis) in and on coarse cells (n an axis)."""
-    fine = np.zeros([factor * n + 1 for n in cells.shape], bool)
-    fine[:-1, :-1, :-1] = cells.repeat(factor, 0).repeat(factor, 1).repeat(factor, 2)
+    fine = _spread(np.pad(cells, (0, 1)), factor)
     for axis in range(3):
         last, before = ([slice(None)] * 3 for _ in range(2))
         last[axis], before[axis] = slice(factor, None, factor), slice(factor - 1, None, factor)
@@ -171,11 +191,29 @@ def _nodes_of_cells(cells: np.ndarray, factor: int) -> np.ndarray:
     return fine
 
 
+def _closed(values: np.ndarray) -> np.ndarray:
+    """Grey closing of (nx, ny, nz) by a cube of 3 nodes a side."""
+    for best in (np.maximum, np.minimum):
+        for axis in range(3):
+            # The axis becomes the first one: its neighbours are whole planes.
+            along = np.moveaxis(values, axis, 0)
+            pairs = best(along[1:], along[:-1])
+            of_three = np.empty_like(along)
+            of_three[0], of_three[-1] = pairs[0], pairs[-1]
+            best(pairs[1:], pairs[:-1], out=of_three[1:-1])
+            values = np.moveaxis(of_three, 0, axis)
+    return values
+
+
 def _cells_with(points: np.ndarray, corner: np.ndarray, spacing: float, shape: tuple[int, ...]) -> np.ndarray:
     """Cells (nx - 1, ny - 1, nz - 1) that hold a point, and those beside them."""
     limit = np.array(shape) - 1
-    cell = ((points - corner.astype(np.float32)) / np.float32(spacing)).astype(np.int32)
-    inside = ((points >= corner) & (cell < limit)).all(1)
+    inside = np.ones(len(points), bool)
+    flat = np.zeros(len(points), np.int32)
+    for along, start, count in zip(np.ascontiguousarray(points.T), corner, limit):
+        cell = ((along - np.float32(start)) / np.float32(spacing)).astype(np.int32)
+        inside &= (along >= start) & (cell < count)
+        flat = flat * np.int32(count) + cell
     held = np.zeros(limit, bool)
-    held[tuple(cell[inside].T)] = True
+    held.reshape(-1)[flat[inside]] = True
     return _beside(held, corners=False)

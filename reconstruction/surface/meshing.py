@@ -7,7 +7,7 @@ import trimesh
 from scipy import ndimage
 
 from reconstruction.config import MeshConfig
-from reconstruction.surface.field import OUTSIDE, Field
+from reconstruction.surface.field import OUTSIDE, Field, extent
 from reconstruction.surface.fusion import fuse
 from reconstruction.surface.parts import parts_to_keep
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
@@ -71,46 +71,55 @@ def closed_surface(
     Parts smaller than `smallest_part` of the largest are dropped, unless they were seen; cells: (N, 3), those
     of seen points. Voids are filled; None without any inside.
     """
-    from skimage.measure import marching_cubes
+    import open3d
 
     occupied = _occupied_box(log_odds)
     if occupied is None:
         return None
     # Nothing but outside lies beyond: the steps that follow work on the occupied part alone.
     log_odds = _without_voids(log_odds[occupied])
+    first = np.array([o.start for o in occupied])
     parts, count = ndimage.label(log_odds > 0)
-    boxes = ndimage.find_objects(parts)
-    within = None if cells is None else cells - [o.start for o in occupied]
-    kept = parts_to_keep(parts, smallest_part, within) - 1
+    kept = parts_to_keep(parts, smallest_part, None if cells is None else cells - first)
     if len(kept) < count:
-        log_odds = np.where((parts == 0) | np.isin(parts, kept + 1), log_odds, -0.01)
-    start = np.min([[s.start for s in boxes[k]] for k in kept], axis=0)
-    stop = np.max([[s.stop for s in boxes[k]] for k in kept], axis=0)
-    first = np.maximum(start - 1, 0)
-    values = log_odds[tuple(slice(a, b + 1) for a, b in zip(first, stop))]
-    padded = np.pad(off_the_surface(values), 1, constant_values=OUTSIDE)
-    if not (padded > 0).any():
+        dropped = np.ones(count + 1, bool)
+        dropped[kept] = dropped[0] = False
+        log_odds[dropped.take(parts)] = -0.01
+        occupied = _occupied_box(log_odds)
+        assert occupied is not None  # the largest part stays
+        log_odds = log_odds[occupied]
+        first += [o.start for o in occupied]
+    padded = np.full([n + 2 for n in log_odds.shape], np.float32(OUTSIDE))
+    padded[1:-1, 1:-1, 1:-1] = off_the_surface(log_odds)
+    volume = open3d.core.Tensor.from_numpy(padded)
+    surface = open3d.t.geometry.TriangleMesh.create_isosurfaces(volume, [0.0])  # flying edges
+    faces = surface.triangle.indices.numpy()
+    if not len(faces):
         return None  # no more than a touch of the surface
-    vertices, faces, _, _ = marching_cubes(padded, 0.0, gradient_direction="ascent", allow_degenerate=False)
-    return apart(vertices) - 1 + first + [o.start for o in occupied], faces
+    # Open3D counts the lattice's axes the other way round, which turns the triangles over.
+    vertices = surface.vertex.positions.numpy()[:, ::-1]
+    return apart(vertices) - 1 + first, faces[:, ::-1]
 
 
 def _occupied_box(log_odds: np.ndarray) -> tuple[slice, slice, slice] | None:
     """Index ranges of the nodes with log odds above 0 and, within the lattice, one more node on each side."""
-    inside = log_odds > 0
-    columns = np.any(inside, axis=2)
-    held = np.any(columns, axis=1), np.any(columns, axis=0), np.any(inside, axis=(0, 1))
-    if not held[0].any():
+    found = extent(log_odds > 0)
+    if found is None:
         return None
-    ends = (np.flatnonzero(along)[[0, -1]] for along in held)
-    x, y, z = (slice(max(int(first) - 1, 0), int(last) + 2) for first, last in ends)
+    x, y, z = (slice(max(part.start - 1, 0), part.stop + 1) for part in found)
     return x, y, z
 
 
 def _without_voids(log_odds: np.ndarray) -> np.ndarray:
     """The same lattice with enclosed hollows filled: what nothing can ever see is no feature of an object."""
-    outside, count = ndimage.label(np.pad(log_odds <= 0, 1, constant_values=True))
-    if count == 1:
-        return log_odds
-    voids = (outside > 0) & (outside != outside[0, 0, 0])
-    return np.where(voids[1:-1, 1:-1, 1:-1], np.maximum(-log_odds, 0.01), log_odds)
+    outside, count = ndimage.label(log_odds <= 0)
+    void = np.ones(count + 1, bool)
+    void[0] = False
+    for axis in range(3):  # what reaches the border is no void
+        for end in (0, -1):
+            void[np.take(outside, end, axis)] = False
+    filled = log_odds.copy()
+    if void.any():
+        hollow = np.flatnonzero(void.take(outside))
+        filled.reshape(-1)[hollow] = np.maximum(-filled.reshape(-1)[hollow], 0.01)
+    return filled

@@ -26,11 +26,13 @@ def nodes_of_seen_cells(
     """
     if min(values.shape) < 2:  # no cell at all
         return tuple(np.empty((values.ndim, 0), int))
-    cells = np.floor((points - origin) / spacing).astype(int)
-    cells = cells[np.all((cells >= 0) & (cells < np.array(values.shape) - 1), axis=1)]
+    inside, flat = np.ones(len(points), bool), np.zeros(len(points), np.int64)
+    for along, start, count in zip(np.ascontiguousarray(points.T), origin, values.shape):
+        cell = np.floor((along - start) / spacing).astype(int)
+        inside &= (cell >= 0) & (cell < count - 1)
+        flat = flat * count + cell
     # Thousands of points lie in hundreds of cells.
-    cells = np.ravel_multi_index(tuple(cells.T), values.shape)
-    nodes = np.unique(cells)[:, None] + np.ravel_multi_index(tuple(CORNERS.T), values.shape)
+    nodes = np.unique(flat[inside])[:, None] + np.ravel_multi_index(tuple(CORNERS.T), values.shape)
     at_nodes = values.reshape(-1)[nodes]
     likeliest = at_nodes.argmax(1)
     rows = np.arange(len(nodes))

@@ -27,5 +27,9 @@ def apart(vertices: np.ndarray) -> np.ndarray:
     node = np.rint(vertices)
     offset = vertices - node
     # On an edge one coordinate lies between nodes; vertices inside of cells have three that do.
-    near = (np.abs(offset).max(1, keepdims=True) < LEAST_GAP) & (offset != 0)
-    return np.where(near, node + np.copysign(LEAST_GAP, offset), vertices)
+    near = np.ones(len(vertices), bool)
+    for along in offset.T:
+        near &= np.abs(along) < LEAST_GAP
+    node, offset = node[near], offset[near]
+    vertices[near] = np.where(offset != 0, node + np.copysign(LEAST_GAP, offset), vertices[near])
+    return vertices
