@@ -28,6 +28,8 @@ BORDER = 6
 SAME_DEPTH = 0.002
 """Beside an object's edge, a surface this much farther away is beyond the edge [m]; within an object, the
 jump must be one that no slanted surface explains."""
+NOWHERE = -10_000_000
+"""Column and row of the pixel that stands for none."""
 LEAST_LATERAL = 5e-5
 """Points exactly on the edge are beside it [m]."""
 
@@ -97,15 +99,6 @@ class SeenSurface:
         P = self.camera.K @ self.T_camera_table[:3]
         return P[:, :3].astype(np.float32), P[:, 3].astype(np.float32)
 
-    def below(self, pixel: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How far points, as coordinates (3, N) float32 [m], lie behind the planes of pixels (N,), and the
-        planes' c (N,) [m], 0 where there is none."""
-        # One number of 16 bytes a plane: they are fetched in one go.
-        plane = self.planes.view(np.complex128).reshape(-1).take(pixel).view(np.float32).reshape(-1, 4)
-        nx, ny, nz, c = plane.T
-        x, y, z = axes
-        return nx * x + (ny * y + nz * z) - c, c
-
     def edges(self, index: int) -> Edges:
         """The edges of one object's image."""
         return Edges.of(self, index)
@@ -115,17 +108,18 @@ class SeenSurface:
 class Edges:
     """Where an object's image ends, or jumps to a farther part of it.
 
-    Nearest pixels are looked up in a part of the image that starts at (top, left): near (h, w) gives the flat
-    index of the nearest pixel on the near side of an edge, far (h, w) on its far side; -1 if there is none,
-    as all along the part's border.
+    nearest: (2, h, w) int32, for a part of the image that starts at (top, left): number of the nearest pixel on
+    the near side of an edge, and of the nearest on its far side; 0 if there is none, as all along the part's
+    border. pixels: (E, 2) float32 column and row of each number's pixel; planes: (E, 4) float32 what it sees.
     """
 
     seen: SeenSurface
     index: int
     top: int
     left: int
-    near: np.ndarray
-    far: np.ndarray
+    nearest: np.ndarray
+    pixels: np.ndarray
+    planes: np.ndarray
 
     @classmethod
     def of(cls, seen: SeenSurface, index: int) -> Edges:
@@ -137,10 +131,25 @@ class Edges:
             slice(top, min(rows[-1] + BORDER + 1, height)),
             slice(left, min(columns[-1] + BORDER + 1, width)),
         )
-        near, far = _edge_pixels(own[part], seen.depth[part], seen.camera)
-        flat = np.arange(height * width, dtype=np.int32).reshape(height, width)[part]
-        near, far = (np.pad(_nearest(pixels, flat), 1, constant_values=-1) for pixels in (near, far))
-        return cls(seen, index, top - 1, left - 1, near, far)
+        sides = _edge_pixels(own[part], seen.depth[part], seen.camera)
+        nearest = np.zeros((2, *(n + 2 for n in own[part].shape)), np.int32)
+        at = [np.full(1, -1, np.int64)]
+        for side, found in zip(sides, nearest):
+            number, pixels = _nearest(side)
+            found[1:-1, 1:-1] = np.where(number > 0, number + (len(np.concatenate(at)) - 1), 0)
+            at.append(pixels)
+        flat = np.concatenate(at)
+        row, column = flat // sides[0].shape[1] + top, flat % sides[0].shape[1] + left
+        row[0] = column[0] = NOWHERE
+        planes = np.zeros((len(flat), 4), np.float32)
+        pixel = row[1:] * width + column[1:]
+        planes[1:] = seen.planes[pixel]
+        # What is no object's has no plane: it is taken to face the camera.
+        T, bare = seen.T_camera_table, np.flatnonzero(planes[:, 3] == 0)[1:]
+        planes[bare, :3], planes[bare, 3] = T[2, :3], seen.depth.reshape(-1)[pixel[bare - 1]] - T[2, 3]
+        return cls(
+            seen, index, top - 1, left - 1, nearest, np.stack([column, row], 1).astype(np.float32), planes
+        )
 
     def read(self, points: np.ndarray) -> Reading:
         """What the depth image says of points (N, 3) float32 [m]."""
@@ -156,7 +165,7 @@ class Edges:
         pixel = np.where(inside, row * np.int32(camera.width) + column, 0)
         owner = seen.owner.reshape(-1).take(pixel)
         owner[~inside] = NOT_MEASURED
-        behind, _ = seen.below(pixel, axes)
+        behind = below(seen.planes, pixel, axes)
         # The table and the room need no planes: nothing is built on them.
         behind = np.where(owner == BACKGROUND, z - seen.depth.reshape(-1).take(pixel), behind)
         measured = owner > NOT_MEASURED
@@ -199,28 +208,34 @@ class Edges:
 
         axes: (3, N) float32 coordinates of the points [m].
         """
-        seen, camera = self.seen, self.seen.camera
-        height, width = self.near.shape
+        camera = self.seen.camera
+        _, height, width = self.nearest.shape
         # The part's outermost pixels have no edge near: whatever lies beyond is taken for one of them.
         place = np.clip(row - np.int32(self.top), 0, height - 1) * np.int32(width)
         place += np.clip(column - np.int32(self.left), 0, width - 1)
-        edge = np.where(free, self.near.reshape(-1).take(place), self.far.reshape(-1).take(place))
-        here = np.flatnonzero(edge >= 0)
-        edge, of_free, depth = edge[here], free[here], z[here]
+        place += np.where(free, np.int32(0), np.int32(height * width))
+        edge = self.nearest.reshape(-1).take(place)
+        column_of, row_of = self.pixels.view(np.complex64).reshape(-1).take(edge).view(np.float32).reshape(-1, 2).T
+        across = np.sqrt((u - column_of) ** 2 + (v - row_of) ** 2) - np.float32(0.5)
+        np.maximum(across, 0, out=across)
+        across *= z
+        across /= np.float32(min(camera.K[0, 0], camera.K[1, 1]))
+        np.maximum(across, np.float32(LEAST_LATERAL), out=across)
         # Free space beyond an edge matters to a point that lies before the surface there.
-        below, offset = seen.below(edge, axes[:, here])
-        before = np.where(offset != 0, below < 0, depth < seen.depth.reshape(-1).take(edge))
-        edge_row = edge // np.int32(camera.width)
-        du = u[here] - (edge - edge_row * np.int32(camera.width)).astype(np.float32)
-        dv = v[here] - edge_row.astype(np.float32)
-        pixels = np.maximum(np.sqrt(du * du + dv * dv) - np.float32(0.5), 0)
-        focal = np.float32(min(camera.K[0, 0], camera.K[1, 1]))
-        across = np.maximum(pixels * depth / focal, np.float32(LEAST_LATERAL))
+        before = np.minimum(below(self.planes, edge, axes), 0)
+        matters = free | (before < 0)
+        before *= free
         # A free point before the surface that ends there is so much farther from it.
-        below = np.minimum(below, 0) * of_free
-        lateral = np.full(len(u), np.float32(FAR))
-        lateral[here] = np.where(of_free | before, np.sqrt(across * across + below * below), np.float32(FAR))
-        return lateral
+        lateral = np.sqrt(across * across + before * before)
+        return np.where(matters, np.minimum(lateral, np.float32(FAR)), np.float32(FAR))
+
+
+def below(planes: np.ndarray, which: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """How far points, as coordinates (3, N) float32 [m], lie behind planes (P, 4) float32; which: (N,)."""
+    # One number of 16 bytes a plane: they are fetched in one go.
+    nx, ny, nz, c = planes.view(np.complex128).reshape(-1).take(which).view(np.float32).reshape(-1, 4).T
+    x, y, z = axes
+    return nx * x + (ny * y + nz * z) - c
 
 
 def _edge_pixels(own: np.ndarray, depth: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -240,17 +255,19 @@ def _edge_pixels(own: np.ndarray, depth: np.ndarray, camera: Camera) -> tuple[np
     return near, far
 
 
-def _nearest(pixels: np.ndarray, flat: np.ndarray) -> np.ndarray:
-    """Of each place (h, w) the nearest of some pixels (h, w) bool, as its value in `flat`; -1 where none is
-    within BORDER."""
+def _nearest(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of each place (h, w) the nearest of some pixels (h, w) bool, as its number from 1 on, 0 where none is
+    within BORDER; and where these pixels are (E,), as flat indices."""
     import cv2
 
     if not pixels.any():
-        return np.full(flat.shape, -1, np.int32)
+        return np.zeros(pixels.shape, np.int32), np.empty(0, np.int64)
     distance, number = cv2.distanceTransformWithLabels(
         (~pixels).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
+    number[distance > BORDER] = 0
     # OpenCV numbers the pixels; which number is whose stands at the pixels themselves.
-    of_number = np.zeros(int(number.max()) + 1, np.int32)
-    of_number[number[pixels]] = flat[pixels]
-    return np.where(distance <= BORDER, of_number[number], -1)
+    at = np.flatnonzero(pixels)
+    place = np.empty(len(at), np.int64)
+    place[number.reshape(-1)[at] - 1] = at
+    return number, place
