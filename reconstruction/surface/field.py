@@ -87,8 +87,8 @@ def within(part: Window, window: Window) -> Window:
 
 def extent(nodes: np.ndarray) -> Window | None:
     """The smallest window of a lattice that holds all nodes (nx, ny, nz) bool; None where there are none."""
-    above = nodes.any(0)
-    held = nodes.reshape(len(nodes), -1).any(1), above.any(1), above.any(0)
+    above = np.any(nodes, axis=0)
+    held = np.any(nodes.reshape(len(nodes), -1), axis=1), np.any(above, axis=1), np.any(above, axis=0)
     if not held[0].any():
         return None
     ends = (np.flatnonzero(along)[[0, -1]] for along in held)

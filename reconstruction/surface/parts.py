@@ -26,7 +26,8 @@ def parts_to_keep(parts: np.ndarray, smallest: float, cells: np.ndarray | None) 
     if cells is not None and not keep[1:].all():
         inside = ((cells >= 0) & (cells < np.array(parts.shape) - 1)).all(1)
         # Thousands of points lie in hundreds of cells.
-        cell, points = np.unique(np.ravel_multi_index(tuple(cells[inside].T), parts.shape), return_counts=True)
+        flat = np.ravel_multi_index(tuple(cells[inside].T), parts.shape)
+        cell, points = np.unique(flat, return_counts=True)
         owner = parts.reshape(-1)[cell[:, None] + np.ravel_multi_index(tuple(CORNERS.T), parts.shape)].max(1)
         least = max(SEEN_POINTS, SEEN_SHARE * len(cells))
         keep |= (np.bincount(owner, points, minlength=len(sizes)) >= least) & (sizes > 0)

@@ -108,9 +108,10 @@ class SeenSurface:
 class Edges:
     """Where an object's image ends, or jumps to a farther part of it.
 
-    nearest: (2, h, w) int32, for a part of the image that starts at (top, left): number of the nearest pixel on
-    the near side of an edge, and of the nearest on its far side; 0 if there is none, as all along the part's
-    border. pixels: (E, 2) float32 column and row of each number's pixel; planes: (E, 4) float32 what it sees.
+    nearest: (2, h, w) int32, for a part of the image that starts at (top, left): number of the nearest pixel
+    on the near side of an edge, and of the nearest on its far side; 0 if there is none, as all along the
+    part's border. pixels: (E, 2) float32 column and row of each number's pixel; planes: (E, 4) float32 what
+    it sees.
     """
 
     seen: SeenSurface
@@ -215,8 +216,8 @@ class Edges:
         place += np.clip(column - np.int32(self.left), 0, width - 1)
         place += np.where(free, np.int32(0), np.int32(height * width))
         edge = self.nearest.reshape(-1).take(place)
-        column_of, row_of = self.pixels.view(np.complex64).reshape(-1).take(edge).view(np.float32).reshape(-1, 2).T
-        across = np.sqrt((u - column_of) ** 2 + (v - row_of) ** 2) - np.float32(0.5)
+        edge_u, edge_v = _rows(self.pixels, edge)
+        across = np.sqrt((u - edge_u) ** 2 + (v - edge_v) ** 2) - np.float32(0.5)
         np.maximum(across, 0, out=across)
         across *= z
         across /= np.float32(min(camera.K[0, 0], camera.K[1, 1]))
@@ -232,10 +233,16 @@ class Edges:
 
 def below(planes: np.ndarray, which: np.ndarray, axes: np.ndarray) -> np.ndarray:
     """How far points, as coordinates (3, N) float32 [m], lie behind planes (P, 4) float32; which: (N,)."""
-    # One number of 16 bytes a plane: they are fetched in one go.
-    nx, ny, nz, c = planes.view(np.complex128).reshape(-1).take(which).view(np.float32).reshape(-1, 4).T
+    nx, ny, nz, c = _rows(planes, which)
     x, y, z = axes
     return nx * x + (ny * y + nz * z) - c
+
+
+def _rows(table: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """Columns (C, N) of some rows of a table (R, C) float32, C = 2 or 4; which: (N,)."""
+    # As one complex number a row is fetched in one go.
+    whole = table.view(np.complex64 if table.shape[1] == 2 else np.complex128).reshape(-1)
+    return whole.take(which).view(np.float32).reshape(-1, table.shape[1]).T
 
 
 def _edge_pixels(own: np.ndarray, depth: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
