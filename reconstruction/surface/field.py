@@ -87,6 +87,8 @@ def within(part: Window, window: Window) -> Window:
 
 def extent(nodes: np.ndarray) -> Window | None:
     """The smallest window of a lattice that holds all nodes (nx, ny, nz) bool; None where there are none."""
+    if not nodes.size:
+        return None
     above = np.any(nodes, axis=0)
     held = np.any(nodes.reshape(len(nodes), -1), axis=1), np.any(above, axis=1), np.any(above, axis=0)
     if not held[0].any():
