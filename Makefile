@@ -13,8 +13,9 @@ PIP = $(BIN)/python -m pip --disable-pip-version-check install --upgrade-strateg
 demo: $(DEMO)
 	$(BIN)/contramap demo --out $(OUT)
 
+# A worker for each core; the tests of one file stay together, since they share costly fixtures.
 test: $(STAMP)
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto --maxprocesses 8 --dist loadfile --durations 15
 
 test-slow: $(STAMP)
 	$(BIN)/pytest -m slow

@@ -5,7 +5,12 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
+
+if workers := os.environ.get("PYTEST_XDIST_WORKER_COUNT"):
+    # Before anything loads an OpenMP library: workers side by side share the cores, not fight for them.
+    os.environ.setdefault("OMP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // int(workers))))
 
 import numpy as np
 import pytest

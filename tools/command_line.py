@@ -11,6 +11,7 @@ import inspect
 import io
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 from mapping.errors import ConfigError
@@ -94,9 +95,12 @@ def parse(
 def _check_settings(command: Command, arguments: Sequence[str]) -> None:
     """Raise ConfigError that says what is valid when an option such as --mesh.spacin 3 is no setting."""
     settings = inspect.signature(command).parameters.get("settings")
-    for word, following in zip(arguments, [*arguments[1:], ""]) if settings else ():
+    if settings is None:
+        return
+    sections = [field.name for field in fields(settings.default)]
+    for word, following in zip(arguments, [*arguments[1:], ""]):
         name, given, value = word.partition("=")
-        if settings and name.startswith("--") and ("." in name or hasattr(settings.default, name[2:])):
+        if name.startswith("--") and ("." in name or name[2:] in sections):
             dotted = name[2:].replace("-", "_")
             override(settings.default, nested_setting(f"{dotted}={value if given else following}"))
 
