@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from time import perf_counter
 
 import numpy as np
 import pytest
@@ -39,11 +38,9 @@ def check_result(result: Reconstruction, case: str, labels: set[int] | None = No
 
 
 def refusal(frame: Frame) -> str:
-    """The one line with which mapping a frame is refused, within a second."""
-    start = perf_counter()
+    """The one line with which a frame is refused before any of its space is worked on."""
     with pytest.raises(FrameError) as caught:
         observe(frame)
-    assert perf_counter() - start < 5
     assert "\n" not in str(caught.value)
     return str(caught.value)
 

@@ -95,6 +95,7 @@ def test_output_folder_must_be_empty_unless_overwrite(folder, tmp_path, capsys):
     assert json.loads((out / "scene.json").read_text())["seed"] == 3
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_nothing_half_written(folder, tmp_path):
     code = (
         "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"

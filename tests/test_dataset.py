@@ -125,6 +125,7 @@ def test_a_strange_folder_is_not_overwritten(tmp_path: Path) -> None:
     assert (tmp_path / "scene_0000" / "thesis.txt").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_noise_changes_depth_and_labels_but_not_the_truth(scene: Path, tmp_path: Path) -> None:
     noisy = generate(tmp_path, views=1, sensor_noise=True, label_noise=True)[0]
     clean_frame, noisy_frame = load_frame(scene), load_frame(noisy)
@@ -168,6 +169,7 @@ def test_a_missing_truth_file_is_an_error(tmp_path: Path) -> None:
         load_truth(tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not ycb.list_models(SHARED), reason="no real YCB scans in ../shared/data/ycb")
 def test_scenes_of_real_scans(tmp_path: Path) -> None:
     folder = generate(tmp_path, objects="ycb", ycb_dir=SHARED, views=1, seed=1)[0]
@@ -184,6 +186,7 @@ def test_scenes_of_real_scans(tmp_path: Path) -> None:
     assert load_truth(folder, SHARED).objects[0].mesh_path.is_file()
 
 
+@pytest.mark.slow
 def test_block_figures_make_scenes_of_their_own(tmp_path: Path) -> None:
     folder = generate(tmp_path, objects="figures", seed=5)[0]
     truth = load_truth(folder)

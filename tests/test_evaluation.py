@@ -208,6 +208,7 @@ def test_the_output_is_complete(undisturbed: Path) -> None:
     assert "hilbert" in page
 
 
+@pytest.mark.slow
 def test_a_killed_evaluation_goes_on_to_the_same_table(
     scenes: Path, undisturbed: Path, tmp_path: Path
 ) -> None:
@@ -264,6 +265,7 @@ def test_a_dead_worker_costs_one_method_only(scenes: Path, tmp_path: Path, monke
     assert jobs[1].result_file(Run(0, "tsdf")).is_file()
 
 
+@pytest.mark.slow
 def test_ray_gives_the_same_numbers(scenes: Path, undisturbed: Path, tmp_path: Path) -> None:
     pytest.importorskip("ray", reason="ray is not installed (extra `cluster`)")
     jobs = [Job(scenes / f"scene_000{i}", (0,), ("tsdf", "hilbert"), tmp_path) for i in (0, 1)]

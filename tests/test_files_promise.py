@@ -60,6 +60,7 @@ def test_query_in_map_coordinates_answers_as_near_the_origin(far) -> None:
     np.testing.assert_allclose(there.uncertainty, here.uncertainty, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_pictures_in_map_coordinates_are_those_near_the_origin(far) -> None:
     shown, truth = near_origin(far, {1: far.objects[0].mesh})
     assert np.abs(shown.T_world_table[:3, 3]).max() < 2

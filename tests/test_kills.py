@@ -83,7 +83,10 @@ def test_a_killed_overwrite_leaves_the_old_result_or_the_new_one(
     assert [path.name for path in tmp_path.iterdir()] == ["result"]
 
 
-@pytest.mark.parametrize("size", ["16k", "64k", "256k", "1m", "4m", "16m", "64m"])
+@pytest.mark.parametrize(
+    "size",
+    ["16k", "256k", "1m", *(pytest.param(s, marks=pytest.mark.slow) for s in ("64k", "4m", "16m", "64m"))],
+)
 def test_a_full_disk_of_any_size_leaves_the_old_result_or_nothing(two, tmp_path: Path, size: str) -> None:
     disk = tmp_path / "disk"
     disk.mkdir()

@@ -57,7 +57,14 @@ def disk(tmp_path: Path) -> Iterator[Path]:
 
 
 @pytest.mark.parametrize(
-    "name", ["notes.txt", "objects/mine.blend", "objects/9_mug/mesh.ply", "sub/data.csv"]
+    "name",
+    [
+        "objects/9_mug/mesh.ply",
+        *(
+            pytest.param(n, marks=pytest.mark.slow)
+            for n in ("notes.txt", "objects/mine.blend", "sub/data.csv")
+        ),
+    ],
 )
 def test_overwrite_keeps_what_is_not_the_results(one, result: Path, name: str) -> None:
     (result / name).parent.mkdir(exist_ok=True)

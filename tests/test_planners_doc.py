@@ -27,6 +27,7 @@ def folder(tmp_path_factory):
     return place
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("index", range(len(SNIPPETS)))
 def test_snippets_run(index, folder, monkeypatch):
     code = SNIPPETS[index]

@@ -116,6 +116,7 @@ def test_occupancy_resumes_and_notices_other_settings(room_log):
     assert run.stat().st_mtime_ns > written
 
 
+@pytest.mark.slow
 def test_merged_samples_give_nearly_the_same_map(room_log):
     every = OccupancyConfig(query_per_hinge=2, merge_data=0.0, merge_noise=0.0)
     drawn = {}

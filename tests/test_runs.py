@@ -74,7 +74,14 @@ def test_workers_end_with_the_iterator() -> None:
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks processes up in /proc")
-@pytest.mark.parametrize(("number", "code"), [("SIGKILL", -9), ("SIGTERM", 143), ("SIGHUP", 129)])
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [
+        ("SIGKILL", -9),
+        pytest.param("SIGTERM", 143, marks=pytest.mark.slow),
+        pytest.param("SIGHUP", 129, marks=pytest.mark.slow),
+    ],
+)
 def test_no_worker_outlives_a_command_that_is_killed(tmp_path: Path, number: str, code: int) -> None:
     program = tmp_path / "program.py"
     program.write_text(

@@ -213,6 +213,7 @@ def test_a_taken_port_is_refused(address):
         Server(lambda client, message: {}, "127.0.0.1", int(address.rsplit(":", 1)[1]), LARGEST)
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow(address, client, tabletop_frame):
     import resource
 

@@ -78,6 +78,7 @@ def test_examples_do_not_depend_on_the_number_of_workers():
         np.testing.assert_array_equal(getattr(alone, field.name), getattr(shared, field.name))
 
 
+@pytest.mark.slow
 def test_training_lowers_the_loss_and_writes_both_files(tmp_path):
     from tools.train_prior import TrainConfig, train
 
