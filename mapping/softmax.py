@@ -25,6 +25,8 @@ many times as kernels overlap."""
 ROW_COST = 8
 """What a sample's share in the loss takes of the time, in features of its row: far from objects rows are
 short, and threads that had as many features each would not end at once."""
+SHARED_FROM = 4096
+"""Samples from which on threads share them."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,7 @@ def _minimise(
 
 
 class _Objective:
-    """The penalised cross-entropy and its gradient, each thread having its share of the samples.
+    """The penalised cross-entropy and its gradient, from a few shares of the samples, at least one a thread.
 
     Logits are linear in W: each share keeps its own and those of the direction searched along.
     """
@@ -121,7 +123,9 @@ class _Objective:
         targets = targets * weights[:, None]
         self.shape = features.hinge_count, len(offset)
         self.l2, self.threads = l2, threads
-        parts = features.rows.split(threads.count, ROW_COST)
+        # Few samples are one share for any number of threads: handing them over costs more than it wins.
+        count = threads.pieces if len(features.rows.offsets) >= SHARED_FROM else 1
+        parts = features.rows.split(count, ROW_COST)
         sizes = [len(part.offsets) for part in parts]
         pieces = zip(parts, weights.split(sizes), targets.split(sizes))
         self.shares = threads.map(lambda piece: _Share(*piece, offset, self.shape[0]), pieces)
@@ -143,7 +147,7 @@ class _Objective:
         """The objective at W and its derivative (H, C), W being `length` times the direction (H, C) away from
         the last accepted place; None: the direction is the one asked for before."""
 
-        # One piece of work a thread: handing it over costs as much as a product with few samples.
+        # Few pieces of work: handing it over costs as much as a product with few samples.
         def part(share: _Share) -> tuple[float, torch.Tensor]:
             if direction is not None:
                 share.along = share.rows.times(direction)

@@ -35,9 +35,9 @@ def reconstruct(frame: Frame, config: PipelineConfig | None = None, seed: int = 
     """Map a frame: one watertight mesh [m, world frame] with p(uncertain) per vertex for each object.
 
     frame: from perception.load_frame. config: see reconstruction.config.preset. seed: same seed, same
-    meshes to the byte on one machine with the same number of threads. Objects that cannot be mapped are
-    listed in `skipped`, with the reason. Raises FrameError when the frame shows no usable object,
-    ConfigError for a negative seed.
+    meshes to the byte on one machine with the same number of threads (one and two count as the same), and
+    from several Python threads at once. Objects that cannot be mapped are listed in `skipped`, with the
+    reason. Raises FrameError when the frame shows no usable object, ConfigError for a negative seed.
     """
     import open3d  # noqa: F401  # loaded before the clock starts: its first import takes a second
 

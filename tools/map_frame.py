@@ -67,7 +67,7 @@ def map_frame(
         preset: tabletop (default) or paper (samples and hinge points as published).
         prior: What guesses hidden shapes: learned, or none (samples.prior; the paper preset has none).
         device: cpu, cuda or auto (map.device).
-        seed: Same seed, same meshes, for the same number of threads (OMP_NUM_THREADS).
+        seed: Same seed, same meshes, for one thread or two, and for each larger number (OMP_NUM_THREADS).
         spacing: Lattice spacing of the meshes [m] (mesh.spacing).
         max_uncertainty: Keep only what is less uncertain than this, 0..1 (mesh.max_uncertainty).
         config: YAML or JSON file of nested settings, as in the `config` of a scene.json.
