@@ -11,7 +11,6 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -23,6 +22,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from mapping.errors import DataError
 from mapping.files import cache_dir, temporary_beside
+from mapping.folders import temporary_folder
 from mapping.parent import end_with_parent
 from sim_scenes.objects.object_model import ObjectModel
 
@@ -59,8 +59,9 @@ def collision_file(model: ObjectModel, config: ConvexConfig | None = None) -> Pa
     config = config or ConvexConfig()
     path = _cached_path(model, config)
     if not is_whole(path):
-        parts = _decompose(model.mesh, config)
         path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary_folder(path) as folder:
+            parts = _decompose(model.mesh, config, folder)
         with temporary_beside(path) as partial:
             write_parts(model, parts, partial)
             if not is_whole(partial):
@@ -108,33 +109,30 @@ def _cached_path(model: ObjectModel, config: ConvexConfig) -> Path:
     return cache_dir() / "convex_parts" / f"{digest.hexdigest()[:32]}.obj"
 
 
-def _decompose(mesh: trimesh.Trimesh, config: ConvexConfig) -> list[np.ndarray]:
-    """Vertices (N, 3) of each convex part."""
+def _decompose(mesh: trimesh.Trimesh, config: ConvexConfig, folder: Path) -> list[np.ndarray]:
+    """Vertices (N, 3) of each convex part; `folder` is for what is under way."""
     if not (len(mesh.faces) and np.isfinite(mesh.vertices).all()):
         raise DataError("a mesh without triangles, or with NaN or infinite vertices, has no collision shape")
     hull = mesh.convex_hull
     if mesh.volume > config.convex_above * hull.volume:
         return [np.asarray(hull.vertices)]
-    with tempfile.TemporaryDirectory() as folder:
-        given, found = Path(folder) / "mesh.obj", Path(folder) / "parts.obj"
-        _simplify(mesh, config.faces).export(given)
-        repository = str(Path(__file__).resolve().parent.parent)
-        command = [sys.executable, "-m", "sim_scenes.convex_parts", str(given), str(found)]
-        command += [str(config.voxels), str(config.concavity)]
-        command += [str(os.getpid())]
-        environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-        environment["PYTHONPATH"] = os.pathsep.join([repository, os.environ.get("PYTHONPATH", "")])
-        for _ in range(ATTEMPTS):
-            try:
-                ended = subprocess.run(
-                    command, env=environment, timeout=config.time_limit_s, capture_output=True, text=True
-                )
-            except (subprocess.TimeoutExpired, OSError) as error:
-                raise DataError(
-                    f"cutting a mesh into convex parts did not end ({error}); try again"
-                ) from error
-            if ended.returncode == 0 and (parts := _read_parts(found)):
-                return parts
+    given, found = folder / "mesh.obj", folder / "parts.obj"
+    _simplify(mesh, config.faces).export(given)
+    repository = str(Path(__file__).resolve().parent.parent)
+    command = [sys.executable, "-m", "sim_scenes.convex_parts", str(given), str(found)]
+    command += [str(config.voxels), str(config.concavity)]
+    command += [str(os.getpid())]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    environment["PYTHONPATH"] = os.pathsep.join([repository, os.environ.get("PYTHONPATH", "")])
+    for _ in range(ATTEMPTS):
+        try:
+            ended = subprocess.run(
+                command, env=environment, timeout=config.time_limit_s, capture_output=True, text=True
+            )
+        except (subprocess.TimeoutExpired, OSError) as error:
+            raise DataError(f"cutting a mesh into convex parts did not end ({error}); try again") from error
+        if ended.returncode == 0 and (parts := _read_parts(found)):
+            return parts
     # Whoever was killed says nothing about the mesh; what fails by itself fails always.
     if -ended.returncode in (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         raise DataError("cutting a mesh into convex parts was killed (out of memory?); try again")

@@ -69,13 +69,13 @@ def test_a_killed_helper_leaves_no_other_shape_under_the_same_name(cache: Path, 
     assert not cache.exists() or not list(cache.iterdir())
 
 
-def test_a_mesh_with_nan_is_refused_in_words(cache: Path) -> None:
+def test_a_mesh_with_nan_is_refused_in_words(tmp_path: Path) -> None:
     box = trimesh.creation.box((0.1, 0.1, 0.1))
     vertices = np.array(box.vertices)
     vertices[0] = np.nan
     with pytest.raises(DataError, match="NaN"):
         convex_parts._decompose(
-            trimesh.Trimesh(vertices, box.faces, process=False), convex_parts.ConvexConfig()
+            trimesh.Trimesh(vertices, box.faces, process=False), convex_parts.ConvexConfig(), tmp_path
         )
 
 

@@ -56,9 +56,11 @@ def test_an_older_export_is_kept_unless_asked(planned, tmp_path):
     export(planned.scene(), ["obj"], tmp_path)
     with pytest.raises(ConfigError, match="--overwrite"):
         export(planned.scene(), ["obj"], tmp_path)
-    (tmp_path / "obj" / "extra.txt").write_text("mine")
     export(planned.scene(), ["obj"], tmp_path, overwrite=True)
-    assert not (tmp_path / "obj" / "extra.txt").exists()
+    (tmp_path / "obj" / "extra.txt").write_text("mine")
+    with pytest.raises(ConfigError, match=r"extra\.txt"):
+        export(planned.scene(), ["obj"], tmp_path, overwrite=True)
+    assert (tmp_path / "obj" / "extra.txt").read_text() == "mine"
 
 
 def test_a_folder_of_others_is_never_replaced(planned, tmp_path):
@@ -186,9 +188,14 @@ def test_parts_come_from_the_cache_the_second_time(tmp_path, monkeypatch):
     monkeypatch.setattr(CoacdProcess, "cut", refuse)
     again = convex_parts([bracket()])
     assert [len(p.vertices) for p in again[0].parts] == [len(p.vertices) for p in first[0].parts]
-    kept.write_bytes(b"damaged")
-    with pytest.raises(AssertionError, match="cut again"):
-        convex_parts([bracket()])
+    good = kept.read_bytes()
+    np.savez(tmp_path / "nan.npz", np.full((8, 3), np.nan))
+    np.savez(tmp_path / "none.npz")
+    broken = [(tmp_path / name).read_bytes() for name in ("nan.npz", "none.npz")]
+    for content in (b"damaged", good[:-200], b"", *broken):
+        kept.write_bytes(content)
+        with pytest.raises(AssertionError, match="cut again"):
+            convex_parts([bracket()])
 
 
 def test_splinters_that_engines_refuse_are_left_out():

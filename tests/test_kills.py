@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 import shutil
 import signal
 import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -109,6 +111,28 @@ def test_a_full_disk_of_any_size_leaves_the_old_result_or_nothing(two, tmp_path:
         assert there or size in ("16k", "64k", "256k", "1m")
     finally:
         subprocess.run(["umount", "-l", str(disk)], check=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "counts",
+    [["map=80"], ["overwrite=60"], ["scenes=15", "cutting=5"], ["evaluate=20"], ["ray=5"], ["fetch=15"]],
+    ids=lambda counts: counts[0],
+)
+def test_200_kills_of_commands(counts: list[str], tmp_path: Path) -> None:
+    """After each: whole results only and no process; after the next run: the same result and no more."""
+    here = Path(__file__).parent
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([*sys.path, str(here)]),
+        "OMP_NUM_THREADS": "1",
+    }
+    command = [sys.executable, str(here / "killing.py"), str(tmp_path / "work"), "--counts", *counts]
+    answer = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert answer.returncode == 0, answer.stderr[-3000:]
+    found = json.loads(answer.stdout)
+    assert found.pop("temporary") == []
+    assert [f"{name}={figures['kills']}" for name, figures in found.items()] == counts
 
 
 @pytest.mark.slow

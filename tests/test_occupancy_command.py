@@ -150,6 +150,14 @@ def test_a_used_folder_is_not_overwritten(room, capsys):
     assert "--overwrite" in capsys.readouterr().err
 
 
+def test_a_map_of_others_is_kept(room, tmp_path, capsys):
+    (tmp_path / "map.pgm").write_text("of the robot")
+    log = str(room[0].parent / "room.log")
+    assert main(["occupancy", log, "--out", str(tmp_path), "--overwrite"]) == 2
+    assert "is kept" in capsys.readouterr().err
+    assert (tmp_path / "map.pgm").read_text() == "of the robot"
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not RADISH.is_dir(), reason="../shared/data/radish is absent: no real logs")
 @pytest.mark.parametrize(("log", "table"), [("orebro", 0.9561), ("seattle", 0.9931)])

@@ -110,6 +110,17 @@ def test_another_run_in_the_same_folder_is_refused(scans, tiled, capsys):
     assert "--overwrite" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("known", [None, "{", "[]", "{}"])
+def test_tiles_of_others_are_kept(scans, tmp_path, capsys, known):
+    (tmp_path / "tiles").mkdir()
+    (tmp_path / "tiles" / "14_8761_5713.png").write_text("a street")
+    if known is not None:
+        (tmp_path / "run.json").write_text(known)
+    assert main(["semantic", str(scans[0]), "--out", str(tmp_path), "--overwrite"]) == 2
+    assert "another --out" in capsys.readouterr().err
+    assert (tmp_path / "tiles" / "14_8761_5713.png").read_text() == "a street"
+
+
 def dying_task(job: Job, tile: tuple[int, int]) -> None:
     """Kills its worker the first time."""
     marker = job.folder / f"{tile[0]}_{tile[1]}"

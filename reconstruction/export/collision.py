@@ -17,7 +17,9 @@ from queue import SimpleQueue
 import numpy as np
 import trimesh
 
+from mapping.errors import DataError
 from mapping.files import cache_dir, write_atomically
+from mapping.guarded_files import read_npz
 from reconstruction.export.coacd_process import CoacdProcess
 from reconstruction.export.parts_error import parts_error
 
@@ -179,11 +181,14 @@ def _cached_path(mesh: trimesh.Trimesh, config: CollisionConfig) -> Path:
 
 def _read(path: Path) -> list[np.ndarray] | None:
     """Parts kept from an earlier run; None when there are none, or the file is damaged."""
-    try:
-        with np.load(path) as kept:
-            return [kept[name] for name in kept.files]
-    except (OSError, ValueError, EOFError, KeyError):
+    if not path.is_file():
         return None
+    try:
+        parts = list(read_npz(path).values())
+    except DataError:
+        return None
+    whole = all(part.ndim == 2 and part.shape[1] == 3 and np.isfinite(part).all() for part in parts)
+    return parts if parts and whole else None
 
 
 def _write(path: Path, points: list[np.ndarray]) -> None:

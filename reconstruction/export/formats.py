@@ -11,9 +11,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
-from mapping.errors import ConfigError
+from mapping.errors import ConfigError, DataError
 from mapping.folders import staged_folder
+from mapping.guarded_files import read_json
 from reconstruction.export.export_scene import ExportScene
+from reconstruction.files.output_folder import entries
 
 STATEMENT = "export.json"
 """What each folder says about itself: frame, unit, quaternion order, files."""
@@ -94,9 +96,18 @@ def _check(folder: Path, overwrite: bool) -> None:
         return
     if not overwrite:
         raise ConfigError(f"{folder} is there already; choose another --out or pass --overwrite")
-    if not (folder / STATEMENT).is_file():
+    try:
+        listed = read_json(folder / STATEMENT)["files"]
+        own = {STATEMENT, *map(str, listed)}
+    except (DataError, KeyError, TypeError) as error:
         raise ConfigError(
             f"{folder} was not written by an export, so it is not overwritten; choose another --out"
+        ) from error
+    foreign = [entry.name for entry in entries(folder) if entry.name + "/" * entry.is_dir() not in own]
+    if foreign:
+        raise ConfigError(
+            f"{folder} also holds {foreign[0]}, not of the export, so it is not overwritten; move it away or "
+            "choose another --out"
         )
 
 

@@ -20,7 +20,7 @@ from typing import Any
 from mapping.errors import DataError
 from mapping.files import remove_left_over, write_atomically
 from mapping.folders import staged_folder, temporary_folder
-from sim_scenes.objects.ycb import MESH_FILE, default_ycb_dir
+from sim_scenes.objects.ycb import MESH_FILE, YCB_IDS, default_ycb_dir
 
 BASE_URL = "http://ycb-benchmarks.s3-website-us-east-1.amazonaws.com/data/google"
 """Where the YCB project hosts its archives; $CONTRAMAP_YCB_URL or an argument overrides it."""
@@ -34,75 +34,6 @@ LONGEST_S = 1800.0
 LARGEST_ARCHIVE = 2**29
 LARGEST_UNPACKED = 2**31
 """Bytes; the largest scan's archive has 60 MB."""
-
-YCB_IDS: tuple[str, ...] = (
-    "002_master_chef_can",
-    "003_cracker_box",
-    "004_sugar_box",
-    "005_tomato_soup_can",
-    "006_mustard_bottle",
-    "007_tuna_fish_can",
-    "008_pudding_box",
-    "009_gelatin_box",
-    "010_potted_meat_can",
-    "011_banana",
-    "012_strawberry",
-    "013_apple",
-    "014_lemon",
-    "015_peach",
-    "016_pear",
-    "017_orange",
-    "018_plum",
-    "019_pitcher_base",
-    "021_bleach_cleanser",
-    "022_windex_bottle",
-    "024_bowl",
-    "025_mug",
-    "026_sponge",
-    "028_skillet_lid",
-    "029_plate",
-    "030_fork",
-    "031_spoon",
-    "032_knife",
-    "033_spatula",
-    "035_power_drill",
-    "036_wood_block",
-    "037_scissors",
-    "038_padlock",
-    "040_large_marker",
-    "042_adjustable_wrench",
-    "043_phillips_screwdriver",
-    "044_flat_screwdriver",
-    "048_hammer",
-    "050_medium_clamp",
-    "051_large_clamp",
-    "052_extra_large_clamp",
-    "053_mini_soccer_ball",
-    "054_softball",
-    "055_baseball",
-    "056_tennis_ball",
-    "057_racquetball",
-    "058_golf_ball",
-    "059_chain",
-    "061_foam_brick",
-    "062_dice",
-    "065-a_cups",
-    "065-b_cups",
-    "065-c_cups",
-    "065-d_cups",
-    "065-e_cups",
-    "065-f_cups",
-    "065-g_cups",
-    "065-h_cups",
-    "065-i_cups",
-    "065-j_cups",
-    "070-a_colored_wood_blocks",
-    "071_nine_hole_peg_test",
-    "072-a_toy_airplane",
-    "073-a_lego_duplo",
-    "077_rubiks_cube",
-)
-"""Objects with a google_16k scan that `contramap fetch ycb` downloads by default."""
 
 
 def fetch_ycb(

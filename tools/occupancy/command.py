@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from mapping.errors import ConfigError
+from reconstruction.files.output_folder import entries
 from tools.options import write_json
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 RESOLUTIONS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 """Cells of the map that are offered [m]; the first with no more than MOST_CELLS is taken."""
 MOST_CELLS = 16_000_000
+MODEL_FILE = "contramap.npz"
 MARGIN = 3.0
 """The map goes on for this many spacings of the hinge points beyond the last sample."""
 
@@ -99,8 +101,12 @@ def run_occupancy_log(
             raise ConfigError(f"--{name.replace('_', '-')} must be > 0 [m], got {value}")
     if not 0 < unknown_from <= 1:
         raise ConfigError(f"--unknown-from must lie between 0 and 1, got {unknown_from}")
-    if out.exists() and (not out.is_dir() or (any(out.iterdir()) and not overwrite)):
+    if out.exists() and (not out.is_dir() or (entries(out) and not overwrite)):
         raise ConfigError(f"{out} is not an empty folder; choose another --out or add --overwrite")
+    if entries(out) and not (out / MODEL_FILE).is_file():
+        raise ConfigError(
+            f"{out} holds no {MODEL_FILE}, so it is no map of this command and is kept; choose another --out"
+        )
     log = load_laser_log(path)
     config = _beams(log, LandscapeConfig(), range_max)
     rng = np.random.default_rng(seed)
@@ -174,8 +180,8 @@ def _draw(
     x, y = (corner + resolution * (np.arange(n) + 0.5) for corner, n in zip(low, counts))
     probabilities = draw(model, (x, y))
     drawing = time.perf_counter() - start
+    model.save(out / MODEL_FILE)  # first: by it a map of this command is known
     shares = write_map(out, probabilities, (x, y), resolution, unknown_from)
-    model.save(out / "contramap.npz")
     step = max(1, int(max(counts)) // 1000)
     classes = {
         f"p({name})": probabilities[::step, ::step, i]

@@ -158,12 +158,19 @@ def _prepare(job: Job, X: np.ndarray, y: np.ndarray, overwrite: bool) -> None:
     import numpy as np
 
     from mapping.files import temporary_beside, write_atomically
+    from reconstruction.files.output_folder import entries
+    from tools.runs.kept import read_kept
 
     content = [X.tobytes(), y.tobytes(), repr((job.plan, job.config, job.seed)).encode()]
     print_of_all = hashlib.sha256(b"".join(content)).hexdigest()
     known = job.folder / "run.json"
-    if job.folder.exists() and (not job.folder.is_dir() or any(job.folder.iterdir())):
-        same = known.is_file() and json_text.loads(known.read_text()).get("fingerprint") == print_of_all
+    if job.folder.exists() and (not job.folder.is_dir() or entries(job.folder)):
+        kept = read_kept(known, ("fingerprint",))
+        if kept is None:
+            raise ConfigError(
+                f"{job.folder} holds other files than a run's of this command; choose another --out"
+            )
+        same = kept["fingerprint"] == print_of_all
         if not same and not overwrite:
             raise ConfigError(
                 f"{job.folder} holds other files than this run's; choose another --out or add --overwrite"
@@ -171,11 +178,13 @@ def _prepare(job: Job, X: np.ndarray, y: np.ndarray, overwrite: bool) -> None:
         if not same or overwrite:
             for name in ("tiles", "voxels.zarr"):
                 shutil.rmtree(job.folder / name, ignore_errors=True)
-    (job.folder / "tiles").mkdir(parents=True, exist_ok=True)
+    job.folder.mkdir(parents=True, exist_ok=True)
+    # First, so that a run that is killed from here on is gone on with.
+    write_atomically(known, (json_text.dumps({"fingerprint": print_of_all}) + "\n").encode())
+    (job.folder / "tiles").mkdir(exist_ok=True)
     for name, array in (("points.npy", X), ("labels.npy", y.astype(np.uint8))):
         with temporary_beside(job.folder / name) as partial, partial.open("wb") as file:
             np.save(file, array)
-    write_atomically(known, (json_text.dumps({"fingerprint": print_of_all}) + "\n").encode())
 
 
 def _queries(path: Path | None) -> np.ndarray | None:
