@@ -16,15 +16,21 @@ def provenance() -> str:
 
     from mapping.version import version
 
-    program = Path(sys.argv[0])
-    module = program.suffix == ".py" and program.stem != "__main__"
-    name = f"python -m {program.stem}" if module else program.name
-    command = shlex.join([*shlex.split(name), *sys.argv[1:]])
+    command = shlex.join([*_program(Path(sys.argv[0])), *sys.argv[1:]])
     machine = f"{os.cpu_count()} cores ({platform.machine()}), Python {platform.python_version()}"
     return (
         f"Written by `{command}`: contramap {version()}, {date.today().isoformat()}, {machine}, "
         f"torch {installed('torch')}."
     )
+
+
+def _program(path: Path) -> list[str]:
+    """How the running program is called: contramap, or python -m tools.real_frames."""
+    package = Path(__file__).resolve().parents[1]
+    if path.suffix != ".py" or not path.resolve().is_relative_to(package):
+        return [path.name]
+    module = ".".join(path.resolve().relative_to(package).with_suffix("").parts)
+    return ["contramap"] if module == "tools.cli" else ["python", "-m", module]
 
 
 def with_provenance(title: str, tables: str) -> bytes:

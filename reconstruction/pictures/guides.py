@@ -37,19 +37,20 @@ def log_boxes(stream: Any, objects: Iterable[ReconstructedObject | StoredObject]
             show_labels=True,
             colors=[object_colour(item.class_index - 1)],
             radii=BOX_RADIUS,
+            fill_mode=rr.components.FillMode.MajorWireframe,
         )
         stream.log(path, rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]), box, static=True)
 
 
 def log_axes(stream: Any, path: str, name: str) -> None:
-    """Arrows of 10 cm along x, y and z of the frame that `path` lies in, named <name> x, <name> y ..."""
+    """Arrows of 10 cm along x, y, z (red, green, blue) of the frame that `path` lies in, with its name."""
     import rerun as rr
 
     arrows = rr.Arrows3D(
         vectors=AXIS_LENGTH * np.eye(3),
         colors=AXIS_COLOURS,
         radii=AXIS_RADIUS,
-        labels=[f"{name} {axis}" for axis in "xyz"],
+        labels=[name],
         show_labels=True,
     )
     stream.log(path, arrows, static=True)

@@ -196,7 +196,12 @@ def _log_camera(stream: Any, reconstruction: Reconstruction) -> None:
     if frame.rgb is not None:
         stream.log("world/camera/rgb", rr.Image(frame.rgb), static=True)
     near, far = np.nanpercentile(frame.depth, [1, 99])  # a few stray pixels must not stretch the colours
-    depth = rr.DepthImage(np.nan_to_num(frame.depth), meter=1.0, depth_range=[near, max(far, near + 1e-3)])
+    depth = rr.DepthImage(
+        np.nan_to_num(frame.depth),
+        meter=1.0,
+        depth_range=[near, max(far, near + 1e-3)],
+        colormap=rr.components.Colormap.Viridis,
+    )
     stream.log("world/camera/depth", depth, static=True)
     segmentation = rr.SegmentationImage(observation.labels, opacity=SEGMENTATION_OPACITY)
     stream.log("world/camera/labels", segmentation, static=True)

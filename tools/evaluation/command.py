@@ -171,7 +171,7 @@ def finish(jobs: list[Job], failures: list[dict[str, str]], gallery: int, json_f
 
 
 def make_gallery(jobs: list[Job], count: int) -> Path | None:
-    """Draw the gallery of the first scenes, ContraMap beside V-PRISM where both are evaluated.
+    """Draw the gallery of the first scenes, every method that was evaluated.
 
     Kept when it is newer than the results.
     """
@@ -181,8 +181,7 @@ def make_gallery(jobs: list[Job], count: int) -> Path | None:
     from tools.evaluation.job import Run
     from tools.runs.workers import run_in_workers
 
-    wanted = tuple(name for name in ("contramap", "vprism") if name in jobs[0].methods)
-    names = wanted or jobs[0].methods[:1]
+    names = jobs[0].methods
     path = jobs[0].out / "figures" / "gallery.png"
     needed = [Run(jobs[0].seeds[0], name) for name in names]
     shown = [job for job in jobs if all(job.kept(run) is not None for run in needed)][:count]

@@ -1,4 +1,4 @@
-"""The paper's gallery, scene by scene: what the camera saw, two methods' meshes and uncertainty slices."""
+"""The paper's gallery, scene by scene: what the camera saw, each method's meshes and uncertainty slices."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from tools.evaluation.case import Case, load_case
 from tools.evaluation.fitted_map import FittedMap
 from tools.evaluation.methods import method
 
+COLUMNS = 4
+"""Pictures side by side: what was seen and one method, then two methods a line."""
 WIDTH = 480
 """Width of every picture [px]."""
 SLICE_MARGIN = 0.08
@@ -44,32 +46,37 @@ def pictures_of(task: tuple[Path, tuple[str, ...], Path | None]) -> dict[str, np
 
 
 def write_gallery(rows: dict[str, dict[str, np.ndarray]], path: Path) -> None:
-    """One picture with a row a scene and a column a kind of picture."""
+    """One picture of all scenes, COLUMNS pictures side by side; each scene begins a line."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    titles = list(next(iter(rows.values())))
-    ratio = np.mean([picture.shape[0] / picture.shape[1] for picture in next(iter(rows.values())).values()])
+    pictures = [item for scene in rows.values() for item in _filled_up(list(scene.items()))]
+    lines = -(-len(pictures) // COLUMNS)
+    ratio = max(picture.shape[0] / picture.shape[1] for _, picture in pictures if picture is not None)
     figure, axes = plt.subplots(
-        len(rows),
-        len(titles),
-        figsize=(2.6 * len(titles), 2.6 * ratio * len(rows) + 0.3),
+        lines,
+        COLUMNS,
+        figsize=(2.6 * COLUMNS, (2.6 * ratio + 0.25) * lines),
         dpi=130,
         squeeze=False,
         gridspec_kw={"wspace": 0.02, "hspace": 0.02},
         layout="constrained",
     )
-    for number, (row, pictures) in enumerate(zip(axes, rows.values())):
-        for cell, title in zip(row, titles):
-            cell.imshow(pictures[title])
-            cell.set_axis_off()
-            if number == 0:
-                cell.set_title(title, fontsize=9)
+    for cell, (title, picture) in zip(axes.flat, pictures):
+        cell.set_axis_off()
+        if picture is not None:
+            cell.imshow(picture)
+            cell.set_title(title, fontsize=8)
     with temporary_beside(path) as partial:
         figure.savefig(partial, format="png")
     plt.close(figure)
+
+
+def _filled_up(scene: list[tuple[str, np.ndarray]]) -> list[tuple[str, np.ndarray | None]]:
+    """A scene's pictures by title, and empty places to the end of the line."""
+    return [*scene, *[("", None)] * (-len(scene) % COLUMNS)]
 
 
 def _small(case: Case) -> Camera:

@@ -115,8 +115,8 @@ def scene_values(result: dict[str, Any]) -> dict[str, float]:
 
 
 def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
-    """{scenes, seeds, methods: {name: {metric: {mean, std, std_seeds}, missing, fit_s, mesh_s, ...}}, paired,
-    against, sturdy, classes}; the last four as their functions say.
+    """{scenes, seeds, methods: {name: {metric: {mean, std, std_seeds}, missing, fit_s, mesh_s, ...}},
+    missing_objects, paired, against, sturdy, classes}; the last five as their functions say.
 
     mean: over objects for shapes and over scenes for the card, of all seeds; std: over scenes of their means
     over seeds; std_seeds: over seeds of their means over scenes. Times are medians.
@@ -128,11 +128,27 @@ def summarise(results: list[dict[str, Any]]) -> dict[str, Any]:
         "scenes": len({result["scene"] for result in results}),
         "seeds": sorted({result["seed"] for result in results}),
         "methods": {name: _method(items) for name, items in by_method.items()},
+        "missing_objects": missing_objects(results),
         "paired": paired_tests(results),
         "against": against(results),
         "sturdy": sturdy_summary(results),
         "classes": _classes(results),
     }
+
+
+def missing_objects(results: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Objects without a mesh: {method, scene, label, name, seeds, seeds_5mm}, the seeds without one on the
+    protocol's grid of 15 mm and on that of delivered meshes."""
+    found: dict[tuple[str, str, int], dict[str, Any]] = {}
+    for result in results:
+        for item in result["objects"]:
+            for metric, seeds in (("chamfer_mm", "seeds"), ("chamfer_5mm", "seeds_5mm")):
+                if item.get(metric) is None:
+                    head = {key: result[key] for key in ("method", "scene")}
+                    head |= {"label": item["label"], "name": item["name"], "seeds": [], "seeds_5mm": []}
+                    key = (result["method"], result["scene"], item["label"])
+                    found.setdefault(key, head)[seeds].append(result["seed"])
+    return list(found.values())
 
 
 def _classes(results: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -47,6 +47,7 @@ def all_tables(summary: dict[str, Any]) -> list[str]:
     """Every table as markdown under its title, those without rows left out."""
     kinds = {
         "Shapes": shape_rows,
+        "Missing objects": missing_rows,
         "Surfaces": surface_rows,
         "Uncertainty": card_rows,
         "Speed": speed_rows,
@@ -67,6 +68,21 @@ def shape_rows(summary: dict[str, Any]) -> list[list[str]]:
         for name, entry in summary["methods"].items()
     ]
     return [header, *rows]
+
+
+def missing_rows(summary: dict[str, Any]) -> list[list[str]]:
+    """Header and one row an object that a method has no mesh of, on either grid, with the seeds of it."""
+    rows = [["object", "scene", "method", "no mesh at 15 mm, seeds", "no mesh at 5 mm, seeds"]]
+    for found in summary["missing_objects"]:
+        seeds = [", ".join(map(str, found[key])) for key in ("seeds", "seeds_5mm")]
+        rows.append([f"{found['label']} {found['name']}", found["scene"], found["method"], *seeds])
+    return rows
+
+
+def failure_rows(summary: dict[str, Any]) -> list[list[str]]:
+    """Header and one row a run that failed."""
+    keys = ["scene", "seed", "method", "error"]
+    return [keys, *([str(failure[key]) for key in keys] for failure in summary.get("failures", ()))]
 
 
 def surface_rows(summary: dict[str, Any]) -> list[list[str]]:
