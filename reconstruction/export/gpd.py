@@ -8,9 +8,12 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from mapping.errors import DataError
 from perception.camera import transform
 from reconstruction.export.export_scene import ExportScene, moved
 
+COARSEST = 1e-4
+"""Largest step between numbers of single precision that a point may be rounded by [m]."""
 DENSITY = 4e5
 """Points per square metre drawn on meshes: 1.6 mm apart."""
 STATEMENT = {
@@ -22,7 +25,11 @@ STATEMENT = {
 
 
 def write(scene: ExportScene, folder: Path) -> None:
-    """scene.pcd, target_<key>.pcd, completed_<key>.pcd and camera.cfg."""
+    """scene.pcd, target_<key>.pcd, completed_<key>.pcd and camera.cfg.
+
+    Raises DataError when the world frame's origin is too far away for such files.
+    """
+    _check_near([item.T_world_object for item in scene.objects])
     frame = scene.frame
     T = frame.camera.T_world_camera
     measured = np.isfinite(frame.depth)
@@ -38,6 +45,16 @@ def write(scene: ExportScene, folder: Path) -> None:
     (folder / "camera.cfg").write_text(
         f"# world frame, m\ncamera_position = {x:.6f} {y:.6f} {z:.6f}\n", encoding="utf-8"
     )
+
+
+def _check_near(poses: list[np.ndarray]) -> None:
+    farthest = max((float(np.abs(T[:3, 3]).max()) for T in poses), default=0.0)
+    step = float(np.spacing(np.float32(farthest)))
+    if step > COARSEST:
+        raise DataError(
+            f"gpd: objects are {farthest / 1000:.0f} km from the world frame's origin, and its point clouds "
+            f"hold single precision, {1000 * step:.1f} mm there; map the frame with T_world_camera near it"
+        )
 
 
 def write_pcd(path: Path, points: np.ndarray, T_world_camera: np.ndarray) -> None:

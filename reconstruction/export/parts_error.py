@@ -11,6 +11,8 @@ from reconstruction.solid import Solid
 
 SAMPLES = 2000
 """Points drawn on either surface, beside all vertices."""
+MOST_PAIRS = 10_000_000
+"""Points times faces that are compared one by one; above it, rays are cast."""
 
 
 def parts_error(mesh: trimesh.Trimesh, parts: Sequence[trimesh.Trimesh]) -> tuple[float, float]:
@@ -44,6 +46,9 @@ def _inside_any(points: np.ndarray, parts: Sequence[trimesh.Trimesh]) -> np.ndar
     for part in parts:
         low, high = part.bounds
         near = np.flatnonzero(~inside & (points >= low).all(1) & (points <= high).all(1))
+        if len(near) * len(part.faces) > MOST_PAIRS:
+            inside[near] = Solid(part).inside(points[near])
+            continue
         normals = part.face_normals
         height = np.einsum("ij,ij->i", normals, part.triangles[:, 0])
         inside[near] = (points[near] @ normals.T <= height).all(1)
