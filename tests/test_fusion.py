@@ -21,7 +21,7 @@ from reconstruction.surface.fusion import upsample
 from reconstruction.surface.meshing import extract_mesh
 from reconstruction.surface.seen_surface import FAR, SeenSurface
 from reconstruction.surface.smooth_depth import surface_planes
-from tools.evaluation.surface_card import handles_and_parts
+from tools.evaluation.handles import handles_and_parts
 
 CAMERA = Camera(np.array([[300.0, 0, 79.5], [0, 300.0, 59.5], [0, 0, 1]]), 160, 120)
 TILTED = np.array([0.48, -0.36, 0.8])

@@ -9,7 +9,8 @@ import trimesh
 from perception.camera import Camera
 from reconstruction.solid import Solid
 from reconstruction.surface.agreement import Agreement, agreement_with_depth, depth_of_mesh
-from tools.evaluation.surface_card import handles_and_parts, normal_error, wall_excess
+from tools.evaluation.handles import handles_and_parts, true_handles
+from tools.evaluation.surface_card import normal_error, wall_excess
 
 CAMERA = Camera(np.array([[200.0, 0, 80], [0, 200.0, 60], [0, 0, 1]]), 160, 120)
 
@@ -96,3 +97,10 @@ def test_walls_are_measured_along_rays() -> None:
     assert found["wall_share"] == 1
     solid = trimesh.creation.box((0.2, 0.2, 0.1))
     assert wall_excess(Solid(thin), Solid(solid), seen, np.array([0, 0, 1.0]), rng)["wall_excess_mm"] is None
+
+
+@pytest.mark.parametrize(("hole", "handles"), [(0.0008, 0), (0.012, 1)])
+def test_a_pinhole_is_no_handle(hole: float, handles: int) -> None:
+    disc = trimesh.creation.annulus(hole, 0.03, 0.01)
+    assert handles_and_parts(disc) == (1, 1)
+    assert true_handles(Solid(disc)) == handles

@@ -45,7 +45,7 @@ def fuse(
     possible[:-1, :-1, :-1] |= seen_cells
     # Nothing of the object lies elsewhere.
     box, start = _box_of(possible)
-    log_odds, seen_cells, possible = log_odds[box], _cells_of(seen_cells, box), _beside(possible[box])
+    log_odds, seen_cells, possible = log_odds[box], _cells_of(seen_cells, box), beside(possible[box])
     corner = corner + spacing * start
     nodes = np.flatnonzero(possible)
     raised = np.clip(log_odds, -LIMIT, LIMIT)
@@ -87,7 +87,7 @@ def _read(
     config: FusionConfig,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """At flat nodes (M,) of a lattice: log odds (M,) raised by what was seen, the cap, and who nobody saw."""
-    reading = edges.read(_places(nodes, shape, corner, spacing))
+    reading = edges.read(places(nodes, shape, corner, spacing))
     raised = np.maximum(odds, PER_METRE * (np.float32(config.wall) - reading.depth))
     # What was seen of another object is that object's.
     theirs = PER_METRE * (reading.others - np.float32(config.wall))
@@ -97,7 +97,7 @@ def _read(
     return np.clip(raised, -LIMIT, LIMIT), cap, unknown
 
 
-def _places(nodes: np.ndarray, shape: tuple[int, ...], corner: np.ndarray, spacing: float) -> np.ndarray:
+def places(nodes: np.ndarray, shape: tuple[int, ...], corner: np.ndarray, spacing: float) -> np.ndarray:
     """Where flat nodes (M,) of a lattice are: (M, 3) float32 [m], column by column in memory."""
     nodes = nodes.astype(np.int32)  # divided in a fraction of the time
     places = np.empty((3, len(nodes)), np.float32)
@@ -144,7 +144,7 @@ def _cells_of(cells: np.ndarray, box: tuple[slice, ...]) -> np.ndarray:
     return cells[tuple(slice(part.start, part.stop - 1) for part in box)]
 
 
-def _beside(nodes: np.ndarray, corners: bool = True) -> np.ndarray:
+def beside(nodes: np.ndarray, corners: bool = True) -> np.ndarray:
     """Nodes (nx, ny, nz) bool and all their neighbours; without corners, those across faces alone."""
     wide = nodes.copy()
     for axis in range(3):
@@ -216,4 +216,4 @@ def _cells_with(points: np.ndarray, corner: np.ndarray, spacing: float, shape: t
         flat = flat * np.int32(count) + cell
     held = np.zeros(limit, bool)
     held.reshape(-1)[flat[inside]] = True
-    return _beside(held, corners=False)
+    return beside(held, corners=False)

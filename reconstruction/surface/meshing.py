@@ -12,6 +12,7 @@ from reconstruction.surface.fusion import fuse
 from reconstruction.surface.parts import parts_to_keep
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
 from reconstruction.surface.seen_surface import SeenSurface
+from reconstruction.surface.unseen_walls import has_tunnel, with_unseen_walls
 from reconstruction.surface.vertices_apart import apart, off_the_surface
 
 RULED_OUT = -4.0
@@ -40,7 +41,7 @@ def extract_mesh(
         floor = np.log(config.max_uncertainty / (1 - config.max_uncertainty))
         sure = floor - np.log(np.clip(uncertainty, 1e-6, 1 - 1e-6) / np.clip(1 - uncertainty, 1e-6, 1))
         log_odds = np.minimum(log_odds, sure)
-    spacing, start = field.spacing, np.zeros(3)
+    spacing, start, edges = field.spacing, np.zeros(3), None
     if surface is not None and seen is not None and min(log_odds.shape) > 1:
         edges = surface.edges(index)
         log_odds, start = fuse(log_odds, corner, spacing, edges, seen, config.fusion)
@@ -55,6 +56,10 @@ def extract_mesh(
     found = closed_surface(log_odds, config.smallest_part, cells)
     if found is None:
         return None
+    if edges is not None and seen is not None and config.fusion.unseen_walls and has_tunnel(*found):
+        first = corner + field.spacing * start
+        walled = with_unseen_walls(log_odds, first, spacing, edges, seen)
+        found = closed_surface(walled, config.smallest_part, cells) or found
     vertices, faces = found
     nodes = vertices * (spacing / field.spacing) + start  # of the map's lattice
     limit = np.array(uncertainty.shape) - 1

@@ -16,6 +16,7 @@ from reconstruction.metrics import SURFACE_SAMPLES
 from reconstruction.solid import Solid
 from reconstruction.surface.agreement import Agreement, agreement_with_depth
 from tools.evaluation.case import Case
+from tools.evaluation.handles import handles_and_parts, true_handles
 
 SEEN_REACH = 0.004
 """Normals are compared where the mesh is this near to a seen point [m]."""
@@ -56,34 +57,16 @@ def surface_card(
     handles, parts = handles_and_parts(mesh)
     # Scans with texture have vertices twice along its seams.
     whole = trimesh.Trimesh(true.mesh.vertices, true.mesh.faces, process=True)
-    true_handles, true_parts = handles_and_parts(whole)
+    wanted = true_handles(true)
     return {
         "normal_deg": normal_error(mesh, true.mesh, seen, rng),
         "handles": handles,
-        "true_handles": true_handles,
-        "handles_right": None if None in (handles, true_handles) else float(handles == true_handles),
+        "true_handles": wanted,
+        "handles_right": None if handles is None else float(handles == wanted),
         "parts": parts,
-        "true_parts": true_parts,
+        "true_parts": handles_and_parts(whole)[1],
         **wall_excess(predicted, true, seen, origin, rng),
     }
-
-
-def handles_and_parts(mesh: trimesh.Trimesh) -> tuple[int | None, int]:
-    """Genus of a closed mesh, summed over its parts (None when it is not closed), and the number of parts."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    count = len(mesh.vertices)
-    used = np.zeros(count, bool)
-    used[mesh.faces.ravel()] = True
-    a, b = mesh.edges.T
-    links = coo_matrix((np.ones(len(a), np.int8), (a, b)), (count, count))
-    _, part = connected_components(links, directed=False)
-    parts = len(np.unique(part[used]))
-    if not mesh.is_watertight:
-        return None, parts
-    euler = int(used.sum()) - len(mesh.edges_unique) + len(mesh.faces)
-    return parts - euler // 2, parts
 
 
 def normal_error(
