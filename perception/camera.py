@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -86,6 +87,17 @@ def invert_rigid(T: np.ndarray) -> np.ndarray:
     inverse[:3, :3] = T[:3, :3].T
     inverse[:3, 3] = -T[:3, :3].T @ T[:3, 3]
     return inverse
+
+
+def look_at(eye: np.ndarray, target: np.ndarray, up: Sequence[float] | np.ndarray = (0, 0, 1)) -> np.ndarray:
+    """T_world_camera (4, 4), OpenCV axes, of a level camera at `eye` (3,) [m] that looks at `target` (3,)."""
+    forward = np.asarray(target, float) - eye
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    T = np.eye(4)
+    T[:3, 0], T[:3, 1], T[:3, 2], T[:3, 3] = right, np.cross(forward, right), forward, eye
+    return T
 
 
 def _matrix(value: np.ndarray, shape: tuple[int, int], name: str) -> np.ndarray:

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from mapping.errors import FrameError
+from mapping.files import write_atomically
 from perception.frame import Frame
-from perception.image_io import write_png, write_whole
+from perception.image_io import write_png
 from perception.inputs.assemble import Parts, assemble
 from perception.inputs.camera_file import read_camera
 from perception.inputs.camera_keys import CameraFile, check_scale, check_trust, matrix_of
@@ -101,7 +102,7 @@ def save_frame(frame: Frame, folder: str | os.PathLike[str], depth_scale: float 
     """Write a frame folder with depth as 16-bit PNG in units of depth_scale [m].
 
     Depth beyond 65535 units is written as missing. Each file is written under a temporary name and
-    renamed, camera.json last, so a folder with camera.json is complete.
+    renamed, camera.json last, so a folder with camera.json is complete. Raises DataError when writing fails.
     """
     target = Path(folder)
     check_scale(depth_scale, target / "camera.json", "depth_scale")
@@ -149,4 +150,4 @@ def _intrinsics(values: Any) -> np.ndarray:
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:
     text = json.dumps(content, indent=1) + "\n"
-    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_atomically(path, text.encode())

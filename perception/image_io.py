@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from mapping.errors import FrameError
+from mapping.files import temporary_beside
 from mapping.guarded_files import BROKEN, check_plain, read_npy
 
 LARGEST_IMAGE = 2**26
@@ -67,22 +66,12 @@ def read_array(path: Path) -> np.ndarray:
 
 
 def write_png(path: Path, image: np.ndarray) -> None:
-    """Write an image, whole or not at all."""
+    """Write an image, whole or not at all. Raises DataError when it cannot be written."""
     from PIL import Image
 
     picture = Image.fromarray(image)
-    write_whole(path, lambda temporary: picture.save(temporary, format="PNG", compress_level=3))
-
-
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` fill a temporary file and rename it to path; on failure nothing half-written is left."""
-    temporary = path.with_name(path.name + ".part")
-    try:
-        write(temporary)
-        os.replace(temporary, path)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
+    with temporary_beside(path) as unfinished:
+        picture.save(unfinished, format="PNG", compress_level=3)
 
 
 def _read_image(path: Path, wanted: str) -> tuple[np.ndarray, str]:

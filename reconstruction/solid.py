@@ -9,6 +9,7 @@ import numpy as np
 import trimesh
 
 from mapping.errors import DataError
+from perception.ray_casting import ray_scene, tensor
 
 OCCUPANCY_RAYS = 3
 """Rays that vote on inside or outside: scans touch themselves along edges, where one ray may miscount."""
@@ -29,33 +30,20 @@ class Solid:
         box = ((points >= low) & (points <= high)).all(-1)
         found = np.zeros(box.shape, bool)
         if box.any():
-            occupancy = self._scene.compute_occupancy(_tensor(points[box]), nsamples=OCCUPANCY_RAYS)
+            occupancy = self._scene.compute_occupancy(tensor(points[box]), nsamples=OCCUPANCY_RAYS)
             found[box] = occupancy.numpy() > 0.5
         return found
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Distance [m] of points (..., 3) to the nearest point of the surface: (...) float32."""
-        return self._scene.compute_distance(_tensor(points)).numpy()
+        return self._scene.compute_distance(tensor(points)).numpy()
 
     def cast(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Distance (N,) float32 at which rays from origins (N, 3) [m] first meet the surface, in lengths of
         their directions (N, 3); infinite where they miss."""
         rays = np.concatenate([origins, directions], axis=1)
-        return self._scene.cast_rays(_tensor(rays))["t_hit"].numpy()
+        return self._scene.cast_rays(tensor(rays))["t_hit"].numpy()
 
     @cached_property
     def _scene(self) -> Any:
-        import open3d
-
-        scene = open3d.t.geometry.RaycastingScene()
-        scene.add_triangles(
-            _tensor(self.mesh.vertices),
-            open3d.core.Tensor.from_numpy(np.ascontiguousarray(self.mesh.faces, np.uint32)),
-        )
-        return scene
-
-
-def _tensor(values: np.ndarray) -> Any:
-    import open3d
-
-    return open3d.core.Tensor.from_numpy(np.ascontiguousarray(values, np.float32))
+        return ray_scene([(self.mesh.vertices, self.mesh.faces)])

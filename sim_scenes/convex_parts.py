@@ -24,6 +24,8 @@ from mapping.errors import DataError
 from mapping.files import cache_dir, temporary_beside
 from mapping.folders import temporary_folder
 from mapping.parent import end_with_parent
+from perception.ray_casting import ray_scene, tensor
+from sim_scenes.objects.decimation import decimated
 from sim_scenes.objects.object_model import ObjectModel
 
 END = "# end\n"
@@ -117,7 +119,7 @@ def _decompose(mesh: trimesh.Trimesh, config: ConvexConfig, folder: Path) -> lis
     if mesh.volume > config.convex_above * hull.volume:
         return [np.asarray(hull.vertices)]
     given, found = folder / "mesh.obj", folder / "parts.obj"
-    _simplify(mesh, config.faces).export(given)
+    decimated(mesh, config.faces).export(given)
     repository = str(Path(__file__).resolve().parent.parent)
     command = [sys.executable, "-m", "sim_scenes.convex_parts", str(given), str(found)]
     command += [str(config.voxels), str(config.concavity)]
@@ -143,14 +145,7 @@ def _decompose(mesh: trimesh.Trimesh, config: ConvexConfig, folder: Path) -> lis
 
 def _pull_inside(points: np.ndarray, mesh: trimesh.Trimesh) -> np.ndarray:
     """Points (N, 3) with those outside the mesh moved onto it: voxels stick out, and objects would float."""
-    import open3d
-
-    scene = open3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        open3d.core.Tensor.from_numpy(np.asarray(mesh.vertices, np.float32)),
-        open3d.core.Tensor.from_numpy(np.asarray(mesh.faces, np.uint32)),
-    )
-    query = open3d.core.Tensor.from_numpy(points.astype(np.float32))
+    scene, query = ray_scene([(mesh.vertices, mesh.faces)]), tensor(points)
     outside = scene.compute_signed_distance(query).numpy() > 0
     nearest = scene.compute_closest_points(query)["points"].numpy()
     return np.where(outside[:, None], nearest, points)
@@ -165,19 +160,6 @@ def _read_parts(path: Path) -> list[np.ndarray]:
         elif line.startswith("v "):
             groups[-1].append([float(value) for value in line.split()[1:4]])
     return [np.array(group) for group in groups if len(group) >= 4]
-
-
-def _simplify(mesh: trimesh.Trimesh, faces: int) -> trimesh.Trimesh:
-    import open3d
-
-    if len(mesh.faces) <= faces:
-        return mesh
-    full = open3d.geometry.TriangleMesh(
-        open3d.utility.Vector3dVector(np.asarray(mesh.vertices)),
-        open3d.utility.Vector3iVector(np.asarray(mesh.faces)),
-    )
-    simple = full.simplify_quadric_decimation(faces)
-    return trimesh.Trimesh(np.asarray(simple.vertices), np.asarray(simple.triangles))
 
 
 def _as_obj(parts: list[np.ndarray]) -> str:

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from perception.camera import Camera
+from perception.camera import Camera, look_at
+from perception.ray_casting import ray_scene, tensor
 from sim_scenes.objects.object_model import ObjectModel
 from sim_scenes.shading import Surface, cast_shadows, shade
 from sim_scenes.surroundings import Surroundings
@@ -36,16 +37,6 @@ class CameraConfig:
     """Nearest and farthest distance from the table's centre."""
     elevation_deg: tuple[float, float] = (30.0, 60.0)
     """Lowest and highest viewing angle above the table."""
-
-
-def look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """T_world_camera (4, 4), OpenCV axes, of a level camera at `eye` that looks at `target`."""
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    T = np.eye(4)
-    T[:3, 0], T[:3, 1], T[:3, 2], T[:3, 3] = right, np.cross(forward, right), forward, eye
-    return T
 
 
 def random_cameras(
@@ -77,24 +68,14 @@ class Renderer:
     """A scene ready to be seen from any number of cameras."""
 
     def __init__(self, objects: Sequence[PlacedObject], surroundings: Surroundings) -> None:
-        import open3d
-
-        self._tensor = open3d.core.Tensor.from_numpy
-        self.scene = open3d.t.geometry.RaycastingScene()
         self.surroundings = surroundings
         self._models = [item.model for item in objects]
         self._rotations = [item.T_world_object[:3, :3] for item in objects]
-        for item in objects:
-            vertices = item.model.mesh.vertices @ item.T_world_object[:3, :3].T + item.T_world_object[:3, 3]
-            self._add(vertices, item.model.mesh.faces)
-        for vertices, faces in surroundings.meshes():
-            self._add(vertices, faces)
-
-    def _add(self, vertices: np.ndarray, faces: np.ndarray) -> None:
-        self.scene.add_triangles(
-            self._tensor(np.ascontiguousarray(vertices, np.float32)),
-            self._tensor(np.ascontiguousarray(faces, np.uint32)),
-        )
+        placed = [
+            (item.model.mesh.vertices @ R.T + item.T_world_object[:3, 3], item.model.mesh.faces)
+            for item, R in zip(objects, self._rotations)
+        ]
+        self.scene = ray_scene([*placed, *surroundings.meshes()])
 
     def depth_and_labels(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
         """Depth (H, W) float32 [m] along z, NaN where nothing is hit, and labels (H, W) uint16.
@@ -132,7 +113,7 @@ class Renderer:
         directions = rays @ T[:3, :3].T
         origins = np.broadcast_to(T[:3, 3], directions.shape)
         # Directions keep z = 1 in the camera frame, so that t_hit is the depth along the camera's z axis.
-        return directions, self.scene.cast_rays(self._tensor(np.concatenate([origins, directions], axis=-1)))
+        return directions, self.scene.cast_rays(tensor(np.concatenate([origins, directions], axis=-1)))
 
     def _surface(self, camera: Camera, rays: np.ndarray) -> Surface:
         """Positions, normals and colours of what the rays (..., 3) hit, in the world frame."""

@@ -38,8 +38,9 @@ from tools.evaluation.statistics import (
     spearman,
 )
 from tools.evaluation.summary import json_lines, paired_tests, read_results, summarise
-from tools.evaluation.table import markdown, shape_rows
+from tools.evaluation.table import shape_rows
 from tools.evaluation.uncertainty_card import distance_to_samples, uncertainty_card
+from tools.markdown import markdown_table
 from tools.runs.failures import RunsFailed
 
 REPOSITORY = Path(__file__).resolve().parent.parent
@@ -300,7 +301,7 @@ def test_the_summary_pairs_scenes(scenes: Path, undisturbed: Path) -> None:
     assert test["difference"] == pytest.approx(a - b)  # every scene has two objects
     assert test["scenes"] == 2
     assert len(json_lines(results)) < 700 * len(results)
-    assert markdown(shape_rows(summarise(results))).count("\n") == 3
+    assert markdown_table(shape_rows(summarise(results))).count("\n") == 4
 
 
 def test_a_job_does_only_what_is_missing(scenes: Path, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mapping import FrameError
+from mapping import DataError, FrameError
 from perception import Frame, load_frame, load_images, save_frame
 
 NAMES = ("depth.png", "rgb.png", "labels.png", "camera.json")
@@ -252,7 +252,7 @@ def test_a_full_disk_leaves_no_frame(
 
     # Only the system call fails; everything of ours runs.
     monkeypatch.setattr("os.replace", full)
-    with pytest.raises(OSError, match="No space left"):
+    with pytest.raises(DataError, match="No space left"):
         save_frame(tabletop_frame, tmp_path / "frame")
     assert list((tmp_path / "frame").iterdir()) == []
 

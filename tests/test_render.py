@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from perception.camera import Camera, transform
+from perception.camera import Camera, look_at, transform
 from reconstruction import metrics
 from sim_scenes.objects import builtin
 from sim_scenes.objects.object_model import ObjectModel, corner_normals
-from sim_scenes.render import CameraConfig, Renderer, look_at, random_cameras
+from sim_scenes.render import CameraConfig, Renderer, random_cameras
 from sim_scenes.surroundings import Surroundings
 from sim_scenes.tabletop import PlacedObject
 

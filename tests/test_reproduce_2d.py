@@ -17,6 +17,7 @@ from mapping.baselines.residual_network import NetworkConfig
 from mapping.errors import ConfigError, DataError
 from perception.lidar import BeamConfig
 from sim_scenes.toy2d import ToyConfig
+from tools.markdown import markdown_table
 from tools.occupancy.fit import share_occupied
 from tools.reproduce import landscape as landscape_module
 from tools.reproduce.commands import occupancy
@@ -24,7 +25,7 @@ from tools.reproduce.hinges import HingesConfig, run_hinges
 from tools.reproduce.landscape import LANDSCAPES, PAPER_LOGS, Landscape, load_log, split_log
 from tools.reproduce.occupancy import run_occupancy
 from tools.reproduce.occupancy_methods import METHODS, OccupancyConfig
-from tools.reproduce.runs import markdown_table, seconds, timed
+from tools.reproduce.runs import seconds, timed
 from tools.reproduce.toy import run_toy
 from tools.reproduce.toy_methods import METHODS as TOY_METHODS
 from tools.reproduce.toy_methods import ToyStudyConfig
@@ -218,7 +219,7 @@ def test_seconds_have_three_figures():
 
 
 def test_markdown_table():
-    assert markdown_table(["a", "b"], [["1", "2"]]) == "| a | b |\n| --- | --- |\n| 1 | 2 |\n"
+    assert markdown_table([["a", "b"], ["1", "2"]]) == "| a | b |\n| --- | --- |\n| 1 | 2 |\n"
 
 
 @pytest.mark.skipif(not RADISH.is_dir(), reason="../shared/data/radish is absent: no real logs")

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from scipy import ndimage
 
-from reconstruction.pictures.shading import ShadingConfig, cast, frame_meshes, look_at, render
+from reconstruction.pictures.shading import ShadingConfig, cast, frame_meshes, render, viewing_camera
 
 UP = np.array([0.0, 0.0, 1.0])
 SIZE = (160, 120)
@@ -19,7 +19,7 @@ def ball() -> trimesh.Trimesh:
 
 
 def test_ball_covers_the_disc_that_projection_predicts(ball):
-    camera = look_at(np.array([-1.0, 0, 0]), np.zeros(3), UP, SIZE, field_of_view=20)
+    camera = viewing_camera(np.array([-1.0, 0, 0]), np.zeros(3), UP, SIZE, field_of_view=20)
     view = cast([ball], camera)
     tangent = np.tan(np.arcsin(0.1 / 1.0))  # the silhouette of a ball at 1 m
     radius = tangent * camera.K[0, 0] * ShadingConfig().supersampling
@@ -32,7 +32,7 @@ def test_ball_covers_the_disc_that_projection_predicts(ball):
 def test_vertex_colours_are_interpolated_across_a_triangle():
     triangle = trimesh.Trimesh([[0, -1, -1], [0, 1, -1], [0, 0, 1]], [[0, 1, 2]], process=False)
     colours = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255]])
-    camera = look_at(np.array([-3.0, 0, 0]), np.zeros(3), UP, SIZE, field_of_view=50)
+    camera = viewing_camera(np.array([-3.0, 0, 0]), np.zeros(3), UP, SIZE, field_of_view=50)
     picture = render([triangle], [colours], camera).astype(float)
     shares = picture / picture.sum(axis=2, keepdims=True)
     centroid, _ = camera.project(_in_camera(camera, np.array([[0, 0, -1 / 3]])))
@@ -46,7 +46,7 @@ def test_vertex_colours_are_interpolated_across_a_triangle():
 def test_nearer_mesh_hides_the_farther(ball):
     far = ball.copy()
     far.apply_translation([0.5, 0, 0])
-    camera = look_at(np.array([-1.0, 0, 0]), np.zeros(3), UP, SIZE, field_of_view=20)
+    camera = viewing_camera(np.array([-1.0, 0, 0]), np.zeros(3), UP, SIZE, field_of_view=20)
     view = cast([far, ball], camera)
     middle = view.mesh[view.mesh.shape[0] // 2, view.mesh.shape[1] // 2]
     assert middle == 1
@@ -81,7 +81,7 @@ def test_ground_shows_a_shadow_only_when_asked(ball):
 
 
 def test_edges_are_smoothed(ball):
-    camera = look_at(np.array([-1.0, 0, 0]), np.zeros(3), UP, SIZE, field_of_view=20)
+    camera = viewing_camera(np.array([-1.0, 0, 0]), np.zeros(3), UP, SIZE, field_of_view=20)
     black = [np.zeros((len(ball.vertices), 3))]
     picture = render([ball], black, camera)
     values = np.unique(picture[..., 0])

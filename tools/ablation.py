@@ -105,7 +105,7 @@ def ablation(
 
 def tables(methods: dict[str, Any]) -> list[str]:
     """Both tables as markdown, from the summary's entries by method; variants that failed are left out."""
-    from tools.evaluation.table import markdown
+    from tools.markdown import markdown_table
 
     found = []
     for names, rows in (
@@ -114,7 +114,7 @@ def tables(methods: dict[str, Any]) -> list[str]:
     ):
         header = [*names, *COLUMNS.values(), "fit + mesh 15 mm, processor [s]"]
         cells = [[*labels, *_cells(methods[name])] for *labels, name in rows if name in methods]
-        found.append(markdown([header, *cells]))
+        found.append(markdown_table([header, *cells]).rstrip())
     return found
 
 

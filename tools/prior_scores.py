@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from reconstruction.prior.network import PriorNetwork
+from tools.evaluation.statistics import calibration_error, reliability
 from tools.prior_data import Examples
 
 
@@ -29,19 +30,11 @@ def score(network: PriorNetwork, examples: Examples) -> dict:
         "loss": round(float(loss.mean()), 4),
         "iou": round(float(iou.mean()), 4),
         "brier": round(float(((probability - truth) ** 2).mean()), 4),
-        "ece": round(calibration_error(probability.ravel(), truth.ravel()), 4),
+        "ece": round(calibration_error(reliability(probability.ravel(), truth.ravel())), 4),
         "iou_by_family": {
             str(name): round(float(iou[families == name].mean()), 3) for name in np.unique(families)
         },
     }
-
-
-def calibration_error(probability: np.ndarray, truth: np.ndarray, bins: int = 15) -> float:
-    """Mean gap between predicted and true share over bins of equal mass."""
-    order = np.argsort(probability, kind="stable")
-    groups = np.array_split(order, bins)
-    gaps = [abs(probability[group].mean() - truth[group].mean()) * len(group) for group in groups]
-    return float(np.sum(gaps) / len(order))
 
 
 def _predict(network: PriorNetwork, examples: Examples, rows: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 
 from mapping.errors import DataError
 from perception.labelled_cloud import LabelledCloud, checked_cloud
+from perception.ray_casting import ray_scene
 
 CLEARANCE = 0.4
 """Virtual cameras stand at least this far from any surface [m]."""
@@ -99,11 +100,4 @@ def viewpoints(mesh: LabelledMesh, count: int, rng: np.random.Generator) -> np.n
 
 
 def _scene(mesh: LabelledMesh) -> Any:
-    import open3d
-
-    scene = open3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        open3d.core.Tensor.from_numpy(mesh.vertices.astype(np.float32)),
-        open3d.core.Tensor.from_numpy(mesh.faces.astype(np.uint32)),
-    )
-    return scene
+    return ray_scene([(mesh.vertices, mesh.faces)])

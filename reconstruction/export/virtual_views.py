@@ -12,6 +12,7 @@ import numpy as np
 import trimesh
 
 from perception.camera import Camera, invert_rigid
+from perception.ray_casting import ray_scene, tensor
 
 FAR = 5.0
 """Depth images are cut here [m]."""
@@ -23,19 +24,11 @@ def render(meshes: Sequence[trimesh.Trimesh], camera: Camera) -> tuple[np.ndarra
 
     meshes: in the world frame of the camera's pose.
     """
-    import open3d
-
-    scene = open3d.t.geometry.RaycastingScene()
-    T_camera_world = invert_rigid(camera.T_world_camera)
-    for mesh in meshes:
-        # In the camera's frame: single precision is enough however far away the world's origin is.
-        vertices = np.asarray(mesh.vertices) @ T_camera_world[:3, :3].T + T_camera_world[:3, 3]
-        scene.add_triangles(
-            open3d.core.Tensor.from_numpy(np.ascontiguousarray(vertices, np.float32)),
-            open3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.faces, np.uint32)),
-        )
+    # In the camera's frame: single precision is enough however far away the world's origin is.
+    R, t = np.split(invert_rigid(camera.T_world_camera)[:3], [3], axis=1)
+    scene = ray_scene((np.asarray(mesh.vertices) @ R.T + t[:, 0], mesh.faces) for mesh in meshes)
     rays = np.concatenate([np.zeros_like(camera.rays), camera.rays], axis=-1)
-    hits = scene.cast_rays(open3d.core.Tensor.from_numpy(rays))
+    hits = scene.cast_rays(tensor(rays))
     # Rays have z = 1, so where a ray ends is the depth.
     depth = hits["t_hit"].numpy()
     seen = np.isfinite(depth)

@@ -6,11 +6,11 @@ import json
 import re
 import unicodedata
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mapping.plain_json import plain
 from mapping.threads import thread_count
 
 FORMAT = "contramap-result-1"
@@ -42,7 +42,7 @@ def describe(reconstruction: Reconstruction, closed: Mapping[int, bool] | None =
     """The content of scene.json; closed: label -> whether the object's mesh files load as closed surfaces."""
     frame, observation = reconstruction.frame, reconstruction.observation
     support = observation.support
-    return _plain(
+    return plain(
         {
             "format": FORMAT,
             "frame": "world",
@@ -181,18 +181,3 @@ def _versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
-
-
-def _plain(value: Any) -> Any:
-    """Arrays, tuples, paths and numpy numbers as JSON types; NaN and infinity as null."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, float):
-        return value if np.isfinite(value) else None
-    if isinstance(value, Path):
-        return str(value)
-    return value

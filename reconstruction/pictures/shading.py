@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from perception.camera import Camera
+from perception.camera import Camera, look_at
+from perception.ray_casting import ray_scene, tensor
 
 
 @dataclass(frozen=True)
@@ -72,24 +73,17 @@ class View:
         return np.clip(small + 0.5, 0, 255).astype(np.uint8)
 
 
-def look_at(
+def viewing_camera(
     eye: np.ndarray, target: np.ndarray, up: np.ndarray, size: tuple[int, int], field_of_view: float
 ) -> Camera:
     """A camera at `eye` that sees `target` in its middle.
 
     size: (width, height) [px]; field_of_view: vertical angle [degrees].
     """
-    forward = np.asarray(target, float) - eye
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, up)
-    right /= np.linalg.norm(right)
-    T = np.eye(4)
-    T[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
-    T[:3, 3] = eye
     width, height = size
     focal = height / 2 / np.tan(np.radians(field_of_view) / 2)
     K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
-    return Camera(K=K, width=width, height=height, T_world_camera=T)
+    return Camera(K=K, width=width, height=height, T_world_camera=look_at(eye, target, up))
 
 
 def frame_meshes(
@@ -104,7 +98,7 @@ def frame_meshes(
     points = np.concatenate([mesh.vertices for mesh in meshes])
     direction = np.asarray(direction, float) / np.linalg.norm(direction)
     target = (points.min(0) + points.max(0)) / 2
-    probe = look_at(target - direction, target, up, size, field_of_view)
+    probe = viewing_camera(target - direction, target, up, size, field_of_view)
     slope_y = np.tan(np.radians(field_of_view) / 2) / margin
     slope = np.array([slope_y * size[0] / size[1], slope_y])
     distance = 1e-3
@@ -114,7 +108,7 @@ def frame_meshes(
         distance = float((np.abs(local[:, :2]) / slope - local[:, 2:]).max())
         seen = local[:, :2] / (local[:, 2:] + distance)
         target = target + R[:, :2] @ ((seen.min(0) + seen.max(0)) / 2 * distance)
-    return look_at(target - distance * direction, target, up, size, field_of_view)
+    return viewing_camera(target - distance * direction, target, up, size, field_of_view)
 
 
 def cast(
@@ -127,7 +121,6 @@ def cast(
 
     ground: (normal, offset) of a plane normal . x + offset = 0 [m] that shows the meshes' shadows.
     """
-    import open3d as o3d
 
     config = config or ShadingConfig()
     s = config.supersampling
@@ -141,16 +134,11 @@ def cast(
     lamp = R @ (np.array(config.lamp, np.float32) * [1, -1, -1]).astype(np.float32)
     lamp /= np.linalg.norm(lamp)
 
-    scene = o3d.t.geometry.RaycastingScene()
     sizes = [len(mesh.vertices) for mesh in meshes]
     offsets = np.concatenate([[0], np.cumsum(sizes)])
-    for mesh in meshes:
-        scene.add_triangles(
-            o3d.core.Tensor.from_numpy(np.array(mesh.vertices, np.float32)),
-            o3d.core.Tensor.from_numpy(np.array(mesh.faces, np.uint32)),
-        )
+    scene = ray_scene((mesh.vertices, mesh.faces) for mesh in meshes)
     rays = np.concatenate([np.broadcast_to(eye, directions.shape), directions], axis=-1)
-    answer = scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
+    answer = scene.cast_rays(tensor(rays))
     distance = answer["t_hit"].numpy()
     hit = np.isfinite(distance)
     mesh_index = np.where(hit, answer["geometry_ids"].numpy().astype(np.int64), -1)
@@ -214,10 +202,8 @@ def _normals(
 
 def _blocked(scene: Any, points: np.ndarray, lamp: np.ndarray) -> np.ndarray:
     """Whether (M,) the lamp is hidden from points (M, 3)."""
-    import open3d as o3d
-
     rays = np.concatenate([points, np.broadcast_to(lamp, points.shape)], axis=1).astype(np.float32)
-    return scene.test_occlusions(o3d.core.Tensor.from_numpy(rays)).numpy()
+    return scene.test_occlusions(tensor(rays)).numpy()
 
 
 def _ground_light(

@@ -12,6 +12,7 @@ import numpy as np
 import trimesh
 
 from perception.camera import Camera, transform
+from perception.ray_casting import ray_scene, tensor
 
 WITHIN = 0.003
 """A ray agrees where it first meets its object's mesh this near to the measured depth [m]."""
@@ -68,19 +69,13 @@ def depth_of_mesh(
 ) -> tuple[tuple[slice, slice], np.ndarray]:
     """The part of the image that can see a mesh, and the depth (h, w) float32 [m] along z at which its rays
     first meet it, infinite where they never do."""
-    import open3d
-
     vertices = transform(T_camera_mesh, np.asarray(mesh.vertices))
     part = _seen_part(vertices, camera)
-    scene = open3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        open3d.core.Tensor.from_numpy(np.ascontiguousarray(vertices, np.float32)),
-        open3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.faces, np.uint32)),
-    )
+    scene = ray_scene([(vertices, mesh.faces)])
     directions = camera.rays[part]
     rays = np.concatenate([np.zeros_like(directions), directions], axis=-1)
     # Directions have z = 1, so the distance along a ray is its depth.
-    return part, scene.cast_rays(open3d.core.Tensor.from_numpy(rays))["t_hit"].numpy()
+    return part, scene.cast_rays(tensor(rays))["t_hit"].numpy()
 
 
 def _of_one(

@@ -9,6 +9,8 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
 
+from sim_scenes.objects.decimation import decimated
+
 Distance = Callable[[np.ndarray], np.ndarray]
 """Maps points (..., 3) [m] to distances (...) [m], negative inside."""
 
@@ -47,16 +49,7 @@ def _largest(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 def _simplified(mesh: trimesh.Trimesh, faces: int) -> trimesh.Trimesh:
     """Fewer triangles where that keeps the mesh closed, else the mesh as it was."""
-    import open3d
-
-    if len(mesh.faces) <= faces:
-        return mesh
-    full = open3d.geometry.TriangleMesh(
-        open3d.utility.Vector3dVector(np.asarray(mesh.vertices)),
-        open3d.utility.Vector3iVector(np.asarray(mesh.faces)),
-    )
-    simple = full.simplify_quadric_decimation(faces)
-    result = trimesh.Trimesh(np.asarray(simple.vertices), np.asarray(simple.triangles), process=True)
+    result = decimated(mesh, faces)
     return result if result.is_watertight and result.is_winding_consistent else mesh
 
 

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from perception.camera import Camera
+from perception.camera import Camera, look_at
 from perception.frame import Frame
-from sim_scenes.render import look_at
+from perception.ray_casting import ray_scene, tensor
 from sim_scenes.sensor_noise import SensorNoiseConfig, noisy_depth, noisy_labels
 from sim_scenes.training.shapes import TrainingShape
 
@@ -113,17 +112,14 @@ def make_training_scene(
 
 def inside(shape: TrainingShape, points: np.ndarray) -> np.ndarray:
     """Which points (N, 3) lie inside a shape (N,) bool."""
-    import open3d as o3d
-
     result = np.zeros(len(points), bool)
     for part in shape.parts:
         low, high = part.bounds
         rows = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
         if len(rows) == 0:
             continue
-        scene = o3d.t.geometry.RaycastingScene()
-        _add(scene, part)
-        result[rows] |= scene.compute_occupancy(_tensor(points[rows])).numpy() > 0.5
+        scene = ray_scene([(part.vertices, part.faces)])
+        result[rows] |= scene.compute_occupancy(tensor(points[rows])).numpy() > 0.5
     return result
 
 
@@ -188,37 +184,19 @@ def _resting_rotation(vertices: np.ndarray, rng: np.random.Generator) -> np.ndar
 
 def _fall(shape: TrainingShape, others: Sequence[TrainingShape]) -> float:
     """Height at which a shape that stands on z = 0 comes to rest when it falls onto the others."""
-    import open3d as o3d
 
     def gap(below: Sequence[TrainingShape], points: np.ndarray, direction: float) -> float:
-        scene = o3d.t.geometry.RaycastingScene()
-        for item in below:
-            for part in item.parts:
-                _add(scene, part)
+        scene = ray_scene((part.vertices, part.faces) for item in below for part in item.parts)
         rays = np.zeros((len(points), 6), np.float32)
         rays[:, :3] = points
         rays[:, 5] = direction
-        return float(scene.cast_rays(_tensor(rays))["t_hit"].numpy().min())
+        return float(scene.cast_rays(tensor(rays))["t_hit"].numpy().min())
 
     own = np.concatenate([part.vertices for part in shape.parts])
     own[:, 2] += ABOVE
     theirs = np.concatenate([part.vertices for other in others for part in other.parts])
     free = min(gap(others, own, -1.0), gap([shape], theirs - [0, 0, ABOVE], 1.0), ABOVE)
     return ABOVE - free
-
-
-def _tensor(values: np.ndarray) -> Any:
-    import open3d as o3d
-
-    return o3d.core.Tensor.from_numpy(np.ascontiguousarray(values, np.float32))
-
-
-def _add(scene: Any, mesh: trimesh.Trimesh) -> None:
-    import open3d as o3d
-
-    scene.add_triangles(
-        _tensor(mesh.vertices), o3d.core.Tensor.from_numpy(np.ascontiguousarray(mesh.faces, np.uint32))
-    )
 
 
 def _centre(shape: TrainingShape) -> np.ndarray:
@@ -267,21 +245,15 @@ def _sensor(rng: np.random.Generator, config: SceneConfig) -> SensorNoiseConfig:
 
 def _render(shapes: Sequence[TrainingShape], camera: Camera, reach: float) -> tuple[np.ndarray, np.ndarray]:
     """Depth (H, W) [m] and labels (H, W) uint16, k = shape k - 1, on a table of half side `reach` [m]."""
-    import open3d as o3d
-
-    scene = o3d.t.geometry.RaycastingScene()
     table = trimesh.creation.box([2 * reach, 2 * reach, 0.02])
     table.apply_translation([0, 0, -0.01])
-    owner = [0]
-    _add(scene, table)
-    for label, shape in enumerate(shapes, 1):
-        for part in shape.parts:
-            _add(scene, part)
-            owner.append(label)
+    parts = [(0, table), *((label, part) for label, shape in enumerate(shapes, 1) for part in shape.parts)]
+    scene = ray_scene((part.vertices, part.faces) for _, part in parts)
+    owner = [label for label, _ in parts]
     T = camera.T_world_camera.astype(np.float32)
     directions = camera.rays @ T[:3, :3].T
     origins = np.broadcast_to(T[:3, 3], directions.shape)
-    hits = scene.cast_rays(_tensor(np.concatenate([origins, directions], axis=-1)))
+    hits = scene.cast_rays(tensor(np.concatenate([origins, directions], axis=-1)))
     depth = hits["t_hit"].numpy()
     seen = np.isfinite(depth)
     labels = np.array(owner, np.uint16)[np.where(seen, hits["geometry_ids"].numpy().astype(np.int64), 0)]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from time import perf_counter, process_time
 
 import numpy as np
 import trimesh
@@ -18,6 +17,7 @@ from tools.evaluation.case import Case
 from tools.evaluation.fitted_map import FittedMap
 from tools.evaluation.methods import method
 from tools.evaluation.uncertainty_card import distance_to_samples
+from tools.stopwatch import Stopwatch
 
 COARSE_SPACING = 0.015
 """Grid of V-PRISM's protocol [m]."""
@@ -71,10 +71,9 @@ def ask(case: Case, name: str, seed: int) -> Answers:
 @contextmanager
 def timed(seconds: Seconds, stage: str) -> Iterator[None]:
     """Add a stage's wall-clock and processor seconds."""
-    wall, processor = perf_counter(), process_time()
+    watch = Stopwatch()
     yield
-    seconds[f"{stage}_s"] = perf_counter() - wall
-    seconds[f"{stage}_cpu_s"] = process_time() - processor
+    seconds.update(watch.figures(stage))
 
 
 def coarse_answers(fitted: FittedMap, case: Case) -> dict[int, CoarseAnswer]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ import numpy as np
 from mapping.errors import ContraMapError, DataError
 from mapping.files import temporary_beside, write_atomically
 from mapping.guarded_files import read_npy
+from mapping.plain_json import plain
 from sim_scenes.truth import TRUTH_FILE
 from tools.evaluation.answers import Answers, ask
 from tools.evaluation.case import Case, load_case
@@ -130,7 +130,7 @@ def judge(answers: Answers, case: Case, run: Run, job: Job) -> dict[str, Any]:
     fine = fine_protocol(answers.meshes, case, case.rng(run.seed, "fine"))
     scores, curves = uncertainty_card(answers.probability, answers.uncertainty, case.card_voxels)
     pixels = np.bincount(case.frame.labels.ravel(), minlength=max(case.judged) + 1)  # type: ignore[union-attr]
-    return _plain(
+    return plain(
         {
             "format": RESULT_FORMAT,
             "scene": case.name,
@@ -177,14 +177,3 @@ def _is_array(path: Path) -> bool:
         return path.is_file() and read_npy(path).ndim == 1
     except DataError:
         return False
-
-
-def _plain(value: Any) -> Any:
-    """The same with NumPy numbers as Python's and NaN as None, as JSON wants it."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -7,6 +7,7 @@ from typing import Any
 from tools.evaluation.against import CROWDED
 from tools.evaluation.classes import CLASS_METRICS
 from tools.evaluation.summary import COMPARED, LOWER_IS_BETTER
+from tools.markdown import markdown_table
 
 SHAPE_COLUMNS = {
     "iou": "IoU",
@@ -57,7 +58,9 @@ def all_tables(summary: dict[str, Any]) -> list[str]:
         "Significance": paired_rows,
     }
     tables = {title: rows(summary) for title, rows in kinds.items()}
-    return [f"### {title}\n\n{markdown(rows)}" for title, rows in tables.items() if len(rows) > 1]
+    return [
+        f"### {title}\n\n{markdown_table(rows).rstrip()}" for title, rows in tables.items() if len(rows) > 1
+    ]
 
 
 def shape_rows(summary: dict[str, Any]) -> list[list[str]]:
@@ -189,13 +192,6 @@ def paired_rows(summary: dict[str, Any]) -> list[list[str]]:
         size = _number(test["metric"], abs(test["difference"]))
         rows.append([test["metric"], better, worse, str(test["scenes"]), size, p])
     return rows
-
-
-def markdown(rows: list[list[str]]) -> str:
-    """A markdown table; the first row is its header."""
-    lines = [" | ".join(row) for row in rows]
-    rule = " | ".join(["---"] * len(rows[0]))
-    return "\n".join(f"| {line} |" for line in [lines[0], rule, *lines[1:]])
 
 
 def _cells(entry: dict[str, Any], columns: dict[str, str]) -> list[str]:

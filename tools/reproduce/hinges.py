@@ -12,21 +12,21 @@ import numpy as np
 from mapping.baselines.deep_map import DeepMap, DeepMapConfig
 from mapping.files import write_atomically
 from tools.evaluation.statistics import auroc
+from tools.markdown import markdown_table
 from tools.occupancy.fit import OCCUPIED, share_occupied
 from tools.options import write_json
 from tools.reproduce.landscape import LANDSCAPES, Landscape, Split, load_log, split_log
 from tools.reproduce.occupancy import KEYS, measure
 from tools.reproduce.occupancy_methods import OccupancyConfig, with_noise
 from tools.reproduce.runs import (
-    Stopwatch,
     check_choices,
-    markdown_table,
     save_figure,
     seconds,
     summarise,
     timed,
 )
 from tools.runs.kept import cached_run
+from tools.stopwatch import Stopwatch
 
 TITLES = {
     "contramap_0": "ContraMap, no hidden layer",
@@ -119,7 +119,7 @@ def hinges_table(summary: dict[str, Any]) -> str:
         for method, counts in summary["methods"].items()
         for count, figures in counts.items()
     ]
-    return markdown_table(["method", "hinge points", "AUC", "training [s]", "map [s]"], rows)
+    return markdown_table([["method", "hinge points", "AUC", "training [s]", "map [s]"], *rows])
 
 
 def _settings(method: str, config: HingesConfig) -> dict[str, Any]:

@@ -11,11 +11,12 @@ import numpy as np
 from mapping.files import temporary_beside, write_atomically
 from perception.lidar import LaserLog
 from tools.evaluation.statistics import auroc
+from tools.markdown import markdown_table
 from tools.occupancy.fit import OCCUPIED
 from tools.options import write_json
 from tools.reproduce.landscape import LANDSCAPES, Landscape, Split, load_log, split_log
 from tools.reproduce.occupancy_methods import METHODS, TITLES, OccupancyConfig, OccupancyMap, fit_method
-from tools.reproduce.runs import check_choices, markdown_table, seconds, summarise, timed
+from tools.reproduce.runs import check_choices, seconds, summarise, timed
 from tools.runs.kept import cached_run
 
 KEYS = ("auc", "train_s", "infer_s", "train_cpu_s", "infer_cpu_s")
@@ -166,7 +167,7 @@ def occupancy_table(summary: dict[str, Any]) -> str:
                 ]
             )
     header = ["log", "method", "AUC", "paper's AUC", "training [s]", "faster", "map [s]", "faster"]
-    return markdown_table(header, rows)
+    return markdown_table([header, *rows])
 
 
 def _threads() -> int:

@@ -11,25 +11,12 @@ import numpy as np
 
 from mapping.errors import ConfigError
 from mapping.files import temporary_beside
+from tools.stopwatch import Stopwatch
 
 T = TypeVar("T")
 
 LARGE_FIGURE = 200_000
 """A figure above this size [bytes] is written with a palette."""
-
-
-class Stopwatch:
-    """Wall-clock and processor time [s] since it was made."""
-
-    def __init__(self) -> None:
-        self._wall, self._processor = time.perf_counter(), time.process_time()
-
-    def figures(self, name: str) -> dict[str, float]:
-        """{"<name>_s": wall-clock time, "<name>_cpu_s": time of all this process's threads}."""
-        return {
-            f"{name}_s": time.perf_counter() - self._wall,
-            f"{name}_cpu_s": time.process_time() - self._processor,
-        }
 
 
 def timed(
@@ -65,12 +52,6 @@ def summarise(runs: Sequence[dict[str, float]], keys: Sequence[str]) -> dict[str
 def seconds(value: float) -> str:
     """A time [s] with three figures, never in powers of ten."""
     return np.format_float_positional(value, precision=3, fractional=False, trim="-")
-
-
-def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table in markdown."""
-    lines = ["| " + " | ".join(row) + " |" for row in [header, ["---"] * len(header), *rows]]
-    return "\n".join(lines) + "\n"
 
 
 def save_figure(figure: Any, path: Path, dots_per_inch: int = 100) -> None:

@@ -12,10 +12,12 @@ from mapping.baselines.base import gini
 from mapping.files import temporary_beside, write_atomically
 from sim_scenes.toy2d import TOY_SETS, ToySet, make_toy_set
 from tools.evaluation.statistics import auroc, spearman
+from tools.markdown import markdown_table
 from tools.options import write_json
-from tools.reproduce.runs import Stopwatch, check_choices, markdown_table, summarise
+from tools.reproduce.runs import check_choices, summarise
 from tools.reproduce.toy_methods import METHODS, TITLES, ToyStudyConfig, make_method
 from tools.runs.kept import cached_run
+from tools.stopwatch import Stopwatch
 
 KEYS = (
     "spearman_gp",
@@ -119,7 +121,7 @@ def toy_table(summary: dict[str, Any]) -> str:
         "fit [processor s]",
         "predict [processor s]",
     ]
-    return markdown_table(header, rows)
+    return markdown_table([header, *rows])
 
 
 def _seed_results(

@@ -13,8 +13,9 @@ import numpy as np
 from mapping.files import write_atomically
 from mapping.multiscale import MultiscaleConfig
 from tools.evaluation.statistics import auroc, brier
+from tools.markdown import markdown_table
 from tools.options import write_json
-from tools.reproduce.runs import check_choices, markdown_table, seconds, summarise, timed
+from tools.reproduce.runs import check_choices, seconds, summarise, timed
 from tools.reproduce.semantic.methods import METHODS, TITLES, fit_method
 from tools.reproduce.semantic.protocols import PROTOCOLS, Case, has_protocol, make_case
 from tools.reproduce.semantic.scenes import load_scene, scene_names
@@ -175,4 +176,4 @@ def semantic_table(summary: dict[str, Any]) -> str:
         ),
         *("AUROC unobserved", "Brier", "training, CPU (wall) [s]", "asking [s]"),
     ]
-    return markdown_table(header, rows)
+    return markdown_table([header, *rows])
