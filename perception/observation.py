@@ -120,6 +120,18 @@ class Observation:
     seen: np.ndarray | None = None
     guess: np.ndarray | None = None
 
+    @property
+    def first(self) -> Observation:
+        """The view that pictures show: itself, or the first of several."""
+        return self
+
+    def at_border(self, item: ObservedObject, within: int = 1) -> bool:
+        """Whether an object's pixels come nearer than `within` [px] to the image's border."""
+        height, width = self.depth.shape
+        rows, columns = np.divmod(item.pixels, width)
+        ends = rows.min(), height - 1 - rows.max(), columns.min(), width - 1 - columns.max()
+        return bool(min(ends) < within)
+
     def near_objects(self, points: np.ndarray, distance: float) -> np.ndarray:
         """Which points (N, 3) of the table frame lie within `distance` [m] of an object's box: (N,) bool."""
         return near_boxes(points, [item.bounds for item in self.objects], distance)

@@ -78,6 +78,10 @@ class Space:
         """(3,) the camera's centre in the table frame [m]: where all rays start."""
         return invert_rigid(self.T_camera_table)[:3, 3]
 
+    def origin_of(self, pixels: np.ndarray) -> np.ndarray:
+        """Where the rays of pixels (N,) start: (3,), or (N, 3) for several views [m]."""
+        return self.origin
+
     def look(self, points: np.ndarray) -> Sight:
         """What the camera sees on the ray through each point."""
         points = _checked(points)

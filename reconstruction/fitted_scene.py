@@ -6,6 +6,7 @@ pictures. Steps are taken when they are first asked for, each once.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,11 +20,15 @@ from perception.frame import Frame
 from perception.observation import Observation
 from perception.observing import observe
 from perception.space import Space
+from perception.views.joint import JointObservation
+from perception.views.joint_space import space_of
+from perception.views.observing_together import observe_together
 from reconstruction.config import PaperSamples, PipelineConfig
 from reconstruction.samples.paper import draw_paper
 from reconstruction.samples.tabletop import draw_tabletop
 from reconstruction.samples.training_set import TrainingSet
 from reconstruction.surface.field import Field, evaluate_field
+from reconstruction.surface.joint_surface import JointSurface
 from reconstruction.surface.meshing import extract_mesh
 from reconstruction.surface.seen_surface import SeenSurface
 
@@ -48,7 +53,8 @@ class FittedScene:
     """The steps of one frame; all that they make is in the table frame [m].
 
     rng: draws the samples, and is used up by them. given: an observation that was made before, so that
-    several scenes of one frame share it.
+    several scenes of one frame share it. further: more views of the scene, their poses in the same world;
+    track: equal label numbers are the same object in all of them.
     """
 
     frame: Frame
@@ -56,21 +62,41 @@ class FittedScene:
     rng: np.random.Generator
     seed: int = 0
     given: Observation | None = None
+    further: tuple[Frame, ...] = ()
+    track: bool = False
 
     @classmethod
-    def of(cls, frame: Frame, config: PipelineConfig, seed: int = 0) -> FittedScene:
+    def of(
+        cls,
+        frame: Frame,
+        config: PipelineConfig,
+        seed: int = 0,
+        further: Sequence[Frame] = (),
+        track: bool = False,
+    ) -> FittedScene:
         """A scene of which everything that is random follows one seed. ConfigError when it is no seed."""
-        return cls(frame, config, generator(seed), seed)
+        return cls(frame, config, generator(seed), seed, None, tuple(further), track)
 
     @cached_property
     def observation(self) -> Observation:
         """The frame, cleaned. Raises FrameError when it shows no usable object."""
-        return self.given or observe(self.frame, self.config.perception, self.seed)
+        if self.given:
+            return self.given
+        config = self.config.perception
+        if self.further:
+            return observe_together((self.frame, *self.further), config, self.seed, self.track)
+        return observe(self.frame, config, self.seed)
+
+    @property
+    def shown(self) -> Frame:
+        """The frame that pictures show: the only one, or the first of those used."""
+        seen = self.observation
+        return seen.views[0].frame if isinstance(seen, JointObservation) else self.frame
 
     @cached_property
     def space(self) -> Space:
         """Free, occluded and unseen space."""
-        return Space.of(self.observation, self.config.perception)
+        return space_of(self.observation, self.config.perception)
 
     @cached_property
     def samples(self) -> TrainingSet:
@@ -96,10 +122,12 @@ class FittedScene:
         return evaluate_field(self.map, *self.boxes, mesh.spacing, self.floors, mesh.confined)
 
     @cached_property
-    def seen(self) -> SeenSurface | None:
+    def seen(self) -> SeenSurface | JointSurface | None:
         """What was measured of all objects, to be fused with the map; None where the surface is the map's."""
         if not self.config.mesh.fusion.enabled:
             return None
+        if isinstance(self.observation, JointObservation):
+            return JointSurface.of(self.observation, self.floors)
         return SeenSurface.of(self.observation, self.frame.depth, self.floors)
 
     @cached_property

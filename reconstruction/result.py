@@ -15,9 +15,11 @@ from perception.camera import invert_rigid
 from perception.frame import Frame
 from perception.observation import NOTHING, OTHER, Observation, Skipped
 from perception.space import Space
+from perception.views.joint import JointObservation
+from perception.views.joint_space import space_of
 from reconstruction.lookup import count, find, names
 from reconstruction.query import Query, ask_world
-from reconstruction.surface.agreement import Agreement, agreement_with_depth
+from reconstruction.surface.agreement import Agreement, agreement_with_depth, together
 
 if TYPE_CHECKING:
     from mapping.contramap import ContraMap
@@ -135,11 +137,13 @@ class Reconstruction:
     @cached_property
     def space(self) -> Space:
         """What the frame says of space: free, occluded, unseen."""
-        return Space.of(self.observation)
+        return space_of(self.observation)
 
     @cached_property
     def agreement(self) -> dict[int, Agreement]:
         """What the frame, as it was given, says of each object's mesh, by label. Measured when asked for."""
+        if isinstance(self.observation, JointObservation):
+            return self._agreement_of_views(self.observation)
         frame = self.frame
         labels = own = self.observation.labels
         if frame.labels is not None:  # numbers of further things of one label are the largest
@@ -149,6 +153,25 @@ class Reconstruction:
         return agreement_with_depth(
             meshes, labels, frame.depth, frame.camera, T_camera_world, SENSOR_TOLERANCE
         )
+
+    def _agreement_of_views(self, observation: JointObservation) -> dict[int, Agreement]:
+        """What all views that were used say of each object's mesh, each pixel counting once."""
+        meshes = {item.label: item.mesh for item in self.objects}
+        found = []
+        for view in observation.views:
+            assert view.frame.labels is not None
+            T_world_camera = self.T_world_table @ view.observation.T_table_camera
+            found.append(
+                agreement_with_depth(
+                    meshes,
+                    view.frame.labels,
+                    view.frame.depth,
+                    view.frame.camera,
+                    invert_rigid(T_world_camera),
+                    SENSOR_TOLERANCE,
+                )
+            )
+        return {label: together([of_view[label] for of_view in found]) for label in meshes}
 
     @property
     def contradictions(self) -> list[str]:

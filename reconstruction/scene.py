@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from time import perf_counter
@@ -9,7 +10,7 @@ from time import perf_counter
 import numpy as np
 import trimesh
 
-from mapping.errors import DataError
+from mapping.errors import DataError, FrameError
 from perception.camera import transform
 from perception.frame import Frame
 from perception.observation import ObservedObject, Skipped
@@ -31,17 +32,28 @@ STAGES = {
 """Step of the scene -> the name its time is reported under."""
 
 
-def reconstruct(frame: Frame, config: PipelineConfig | None = None, seed: int = 0) -> Reconstruction:
+def reconstruct(
+    frame: Frame | Sequence[Frame],
+    config: PipelineConfig | None = None,
+    seed: int = 0,
+    track: bool = False,
+) -> Reconstruction:
     """Map a frame: one watertight mesh [m, world frame] with p(uncertain) per vertex for each object.
 
-    frame: from perception.load_frame. config: see reconstruction.config.preset. seed: same seed, same
-    meshes to the byte on one machine with the same number of threads (one and two count as the same), and
-    from several Python threads at once. Objects that cannot be mapped are listed in `skipped`, with the
-    reason. Raises FrameError when the frame shows no usable object, ConfigError for a negative seed.
+    frame: from perception.load_frame, or several views of one scene, their T_world_camera in one world: what
+    they saw adds up to one map. track: equal label numbers are the same object in all views; else they are
+    where names agree too, and the rest is matched by place. config: see reconstruction.config.preset.
+    seed: same seed, same meshes to the byte on one machine with the same number of threads (one and two count
+    as the same), and from several Python threads at once. Objects that cannot be mapped are listed in
+    `skipped`, with the reason. Raises FrameError when the frame shows no usable object, ConfigError for a
+    negative seed.
     """
     import open3d  # noqa: F401  # loaded before the clock starts: its first import takes a second
 
-    scene = FittedScene.of(frame, config or PipelineConfig(), seed)
+    frames = (frame,) if isinstance(frame, Frame) else tuple(frame)
+    if not frames:
+        raise FrameError("no frame to map: the list of views is empty")
+    scene = FittedScene.of(frames[0], config or PipelineConfig(), seed, frames[1:], track)
     marks = [perf_counter()]
     for step in STAGES:
         getattr(scene, step)
@@ -54,7 +66,7 @@ def reconstruct(frame: Frame, config: PipelineConfig | None = None, seed: int = 
 
 def deliver(scene: FittedScene) -> Reconstruction:
     """What a scene says of its objects, placed in the world frame. Raises DataError when it has none."""
-    observation, frame = scene.observation, scene.frame
+    observation, frame = scene.observation, scene.shown
     T_world_table = frame.camera.T_world_camera @ np.linalg.inv(observation.T_table_camera)
     objects: list[ReconstructedObject] = []
     fields: list[ObjectField] = []

@@ -113,17 +113,11 @@ def object_notes(item: ReconstructedObject, reconstruction: Reconstruction) -> l
         notes.append("support not seen beside it")
     elif seen.bounds[0][2] - seen.floor > FOOT_HIDDEN:
         notes.append(f"seen from {1e3 * (seen.bounds[0][2] - seen.floor):.0f} mm above its support on")
-    if _at_border(seen.pixels, reconstruction.observation.depth.shape):
+    if reconstruction.observation.at_border(seen):
         notes.append("cut by the image's border")
     if reconstruction.agreement[item.label].contradicts:
         notes.append("contradicts the depth image")
     return notes
-
-
-def _at_border(pixels: np.ndarray, shape: tuple[int, ...]) -> bool:
-    """Whether any pixel, as flat index, lies at the image's border."""
-    row, column = np.divmod(pixels, shape[1])
-    return bool(((row == 0) | (row == shape[0] - 1) | (column == 0) | (column == shape[1] - 1)).any())
 
 
 def _describe_other(reconstruction: Reconstruction) -> dict[str, Any] | None:

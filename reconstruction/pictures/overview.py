@@ -122,7 +122,7 @@ def _photo_panel(reconstruction: Reconstruction) -> Image.Image:
     """The colour image (else grey depth) around the objects, with their outlines and names."""
     import cv2
 
-    frame, labels = reconstruction.frame, reconstruction.observation.labels
+    frame, labels = reconstruction.frame, reconstruction.observation.first.labels
     photo = frame.rgb if frame.rgb is not None else _grey_depth(frame.depth)
     left, top, right, bottom = _window(labels > 0)
     photo, labels = photo[top:bottom, left:right], labels[top:bottom, left:right]

@@ -182,7 +182,7 @@ def _log_classes(stream: Any, reconstruction: Reconstruction) -> tuple[int, int]
 
 def _log_camera(stream: Any, reconstruction: Reconstruction) -> None:
     rr = _rerun()
-    frame, observation = reconstruction.frame, reconstruction.observation
+    frame, observation = reconstruction.frame, reconstruction.observation.first
     camera = frame.camera
     pinhole = rr.Pinhole(
         image_from_camera=camera.K,

@@ -46,7 +46,7 @@ def near_obstacles(observation: Observation, radius: float) -> np.ndarray:
 
 def obstacle_samples(points: np.ndarray, origin: np.ndarray) -> list[tuple[np.ndarray, bool, float]]:
     """Samples (M, 3) before and behind surface points (M, 3): each set with whether it is the obstacle's own,
-    and with the chance that it is not what it seems. origin: (3,) where the rays start."""
+    and with the chance that it is not what it seems. origin: (3,) or (M, 3) where the rays start."""
     return [
         (shift_along_rays(origin, points, offset), offset > 0, doubt)
         for offset, doubt in zip(OFFSETS, DOUBTS)

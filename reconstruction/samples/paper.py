@@ -9,6 +9,7 @@ from mapping.samples import along_rays, jittered_lattice, voxel_subsample, withi
 from perception.camera import transform
 from perception.observation import Observation
 from perception.space import Space
+from perception.views.joint_space import each_view
 from reconstruction.config import PaperSamples
 from reconstruction.samples.training_set import TrainingSet, assemble
 
@@ -18,9 +19,10 @@ def draw_paper(
 ) -> TrainingSet:
     """The training set of one observation, in its table frame."""
     centres = np.array([np.mean(o.bounds, axis=0) for o in observation.objects], np.float32)
-    surface = _surface_points(observation)
-    free = along_rays(space.origin, surface, config.ray_step, 0.0, rng)
-    parts = [free[within(free, centres, config.radius)]]
+    parts = []
+    for seen, own in each_view(observation, space):
+        free = along_rays(own.origin, _surface_points(seen), config.ray_step, 0.0, rng)
+        parts.append(free[within(free, centres, config.radius)])
     if observation.support is not None:
         low, high = centres.min(0) - config.radius, centres.max(0) + config.radius
         below = jittered_lattice(low, np.array([*high[:2], 0.0]), config.empty_voxel, rng)

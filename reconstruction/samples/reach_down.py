@@ -37,21 +37,13 @@ NARROW = 0.4
 def may_lack_foot(item: ObservedObject, observation: Observation, space: Space) -> bool:
     """Whether what is seen of an object ends above its support because nobody could see more of it."""
     hangs = item.bounds[0][2] - item.floor > FOOT_GAP
-    return bool(hangs and (seen_from_above(item, space) or cut_off(item, observation)))
+    return bool(hangs and (seen_from_above(item, space) or observation.at_border(item, BORDER)))
 
 
 def seen_from_above(item: ObservedObject, space: Space) -> bool:
     """Whether an object is seen so steeply that its top hides its foot."""
     sight = space.origin - np.mean(item.bounds, axis=0)
     return bool(sight[2] > STEEP * np.linalg.norm(sight))
-
-
-def cut_off(item: ObservedObject, observation: Observation) -> bool:
-    """Whether an object goes on beyond the image."""
-    height, width = observation.depth.shape
-    rows, columns = np.divmod(item.pixels, width)
-    ends = rows.min(), height - 1 - rows.max(), columns.min(), width - 1 - columns.max()
-    return bool(min(ends) < BORDER)
 
 
 def reach_down(

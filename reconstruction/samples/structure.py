@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from perception.observation import Observation
-from perception.space import Space
+from perception.observation import Observation, ObservedObject
+from perception.space import Region, Space
+from perception.views.joint_space import each_view
 from reconstruction.config import TabletopSamples
 from reconstruction.prior.evidence import hidden_labels
 from reconstruction.samples.obstacles import with_obstacles
@@ -19,13 +20,25 @@ from reconstruction.samples.reach_down import may_lack_foot, reach_down
 BEFORE_GUESS = 0.7
 """Chance that the ray is free before a surface that was guessed, not measured."""
 
+HALF_KNOWN = 0.01
+"""A view's guess counts half where a point lies this deep behind what it measured [m]."""
+OUTSIDE_WEIGHT = 0.02
+"""How much it counts where the view measured nothing."""
+LEAST_WEIGHT = 1e-3
+"""How much where it looks past the point: next to nothing."""
+LEAST_CHANCE = 1e-6
+"""No guess is surer than this."""
+NOBODYS = -12.0
+"""Log odds of an object where no view says anything of it."""
+
 
 def structure(
     observation: Observation, space: Space, config: TabletopSamples, points: np.ndarray, obstacles: np.ndarray
 ) -> np.ndarray:
     """(N, K+1) guess of {empty, object 1..K} at points (N, 3) behind what is seen, none of them under a
     support. With obstacles (M, 3), thinned surface points of what has no label, (N, K+2): they are last."""
-    guess = _objects(observation, space, config, points)
+    views = each_view(observation, space)
+    guess = _objects(*views[0], config, points) if len(views) == 1 else _all_views(observation, views, config, points)
     if space.guessed is not None:
         sight = space.look(points)
         early = (sight.pixel >= 0) & space.guessed.reshape(-1)[sight.pixel] & (sight.behind < 0)
@@ -34,6 +47,43 @@ def structure(
         guess[early, 0] = BEFORE_GUESS
         guess[np.flatnonzero(early), likely] = 1 - BEFORE_GUESS
     return with_obstacles(observation, space, config.shell, points, guess, obstacles)
+
+
+def _all_views(
+    observation: Observation,
+    views: list[tuple[Observation, Space]],
+    config: TabletopSamples,
+    points: np.ndarray,
+) -> np.ndarray:
+    """(N, K+1) guess of {empty, object 1..K} at points (N, 3) from the guesses of all views.
+
+    Log odds of an object against "empty" are averaged over the views that see it, each with the more weight
+    the less deep a point lies behind what the view measured, and the more it sees of the object; one that
+    looks past the point has none.
+    """
+    place = {item.label: index for index, item in enumerate(observation.objects)}
+    odds = np.zeros((len(points), len(place)), np.float32)
+    total = np.full_like(odds, LEAST_WEIGHT)
+    odds += LEAST_WEIGHT * NOBODYS
+    for seen, space in views:
+        guess = np.maximum(_objects(seen, space, config, points), LEAST_CHANCE)
+        region, behind = space.classify(points), space.depth_behind(points)
+        weight = HALF_KNOWN / (HALF_KNOWN + np.maximum(behind, 0))
+        weight[(region == Region.OUT_OF_VIEW) | np.isnan(behind)] = OUTSIDE_WEIGHT
+        weight[region == Region.FREE] = LEAST_WEIGHT
+        columns = [place[item.label] for item in seen.objects]
+        weights = weight[:, None] * np.array([_area(item, space) for item in seen.objects], np.float32)
+        odds[:, columns] += weights * np.log(guess[:, 1:] / guess[:, :1])
+        total[:, columns] += weights
+    odds = np.column_stack([np.zeros(len(points), np.float32), odds / total])
+    shares = np.exp(odds - odds.max(1, keepdims=True))
+    return np.asarray(shares / shares.sum(1, keepdims=True), np.float32)
+
+
+def _area(item: ObservedObject, space: Space) -> float:
+    """How much is seen of an object, in units of 10 cm^2 across the line of sight."""
+    depth = space.depth.reshape(-1)[item.pixels]
+    return float((depth**2).sum()) / float(space.camera.K[0, 0] * space.camera.K[1, 1]) / 1e-3
 
 
 def _objects(

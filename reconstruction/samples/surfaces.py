@@ -34,20 +34,22 @@ def surface_samples(scope: Scope) -> SurfaceSamples:
     """Samples around a subsample of every object's seen points. Nothing reaches into the table; what lies
     flat on it is filled down to it."""
     config = scope.config
-    points = [
-        item.points[voxel_subsample(item.points, config.surface_voxel, scope.rng)] for item in scope.items
-    ]
+    chosen = [voxel_subsample(item.points, config.surface_voxel, scope.rng) for item in scope.items]
+    points = [item.points[rows] for item, rows in zip(scope.items, chosen)]
+    pixels = [item.pixels[rows] for item, rows in zip(scope.items, chosen)]
     owner = np.repeat(scope.classes, [len(of_one) for of_one in points])
     measured = len(owner)
     for item, of_class in zip(scope.items, scope.classes):
         if len(item.guessed):
-            guess = item.guessed_points[voxel_subsample(item.guessed_points, config.surface_voxel, scope.rng)]
-            points.append(guess)
-            owner = np.concatenate([owner, np.full(len(guess), of_class)])
+            rows = voxel_subsample(item.guessed_points, config.surface_voxel, scope.rng)
+            points.append(item.guessed_points[rows])
+            pixels.append(item.guessed[rows])
+            owner = np.concatenate([owner, np.full(len(rows), of_class)])
     surface = np.concatenate(points)
     guessed = np.arange(len(surface)) >= measured
     offsets = (-config.pair_offset, config.pair_depth if config.pairs else 0.0, config.wall_depth)
-    before, inside, wall = (shift_along_rays(scope.space.origin, surface, offset) for offset in offsets)
+    origin = scope.space.origin_of(np.concatenate(pixels))
+    before, inside, wall = (shift_along_rays(origin, surface, offset) for offset in offsets)
     flat = np.zeros(len(wall), bool)
     if scope.supported:
         least = scope.floor + FOOT_CLEARANCE

@@ -57,7 +57,7 @@ def draw_tabletop(
         fine.append(columns)
     if len(obstacles):
         fine.append(obstacles)
-        for points, own, doubt in obstacle_samples(obstacles, space.origin):
+        for points, own, doubt in obstacle_samples(obstacles, _origin(space, obstacles)):
             classes, unsure = np.full(len(points), own * (count - 1)), np.full(len(points), doubt)
             soft.append((points, labels.pair(config.labels, classes, unsure, count)))
     ground = np.concatenate([part.scope.seen for part in drawn] + [part.foot for part in drawn])
@@ -66,6 +66,11 @@ def draw_tabletop(
     empty = np.concatenate([p for part in drawn for p in (part.around.empty, part.below)])
     points, targets = map(np.concatenate, zip(*soft))
     return assemble([empty], points, targets, hinges, gamma)
+
+
+def _origin(space: Space, points: np.ndarray) -> np.ndarray:
+    """Where the rays that saw points (N, 3) start: (3,) or (N, 3) [m]."""
+    return space.origin_of(space.pixel_of(points))
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ Knows meshes and one depth image in one frame; knows nothing of how either was m
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,6 +62,17 @@ def agreement_with_depth(
         label: _of_one(label, mesh, labels, depth, camera, T_camera_mesh, tolerance)
         for label, mesh in meshes.items()
     }
+
+
+def together(found: Sequence[Agreement]) -> Agreement:
+    """The agreement of one mesh with several depth images: that of all their pixels."""
+    seen = [one for one in found if one.pixels]
+    pixels = sum(one.pixels for one in seen)
+    if not pixels:
+        return found[0]
+    agreement = sum(one.pixels * one.agreement for one in seen) / pixels
+    early = sum(one.pixels * one.early_rays for one in seen) / pixels
+    return Agreement(pixels, agreement, early, seen[0].tolerance)
 
 
 def depth_of_mesh(

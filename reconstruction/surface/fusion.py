@@ -11,6 +11,7 @@ import numpy as np
 from reconstruction.config import FusionConfig
 from reconstruction.surface.field import extent
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
+from reconstruction.surface.joint_surface import JointEdges
 from reconstruction.surface.seen_surface import Edges
 
 PER_METRE = 1000.0
@@ -29,7 +30,7 @@ def fuse(
     log_odds: np.ndarray,
     corner: np.ndarray,
     spacing: float,
-    edges: Edges,
+    edges: Edges | JointEdges,
     points: np.ndarray,
     config: FusionConfig,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -83,7 +84,7 @@ def _read(
     shape: tuple[int, ...],
     corner: np.ndarray,
     spacing: float,
-    edges: Edges,
+    edges: Edges | JointEdges,
     config: FusionConfig,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """At flat nodes (M,) of a lattice: log odds (M,) raised by what was seen, the cap, and who nobody saw."""

@@ -9,6 +9,7 @@ from scipy import ndimage
 from reconstruction.config import MeshConfig
 from reconstruction.surface.field import OUTSIDE, Field, extent
 from reconstruction.surface.fusion import fuse
+from reconstruction.surface.joint_surface import JointSurface
 from reconstruction.surface.parts import parts_to_keep
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
 from reconstruction.surface.seen_surface import SeenSurface
@@ -26,7 +27,7 @@ def extract_mesh(
     index: int,
     config: MeshConfig,
     seen: np.ndarray | None = None,
-    surface: SeenSurface | None = None,
+    surface: SeenSurface | JointSurface | None = None,
 ) -> tuple[trimesh.Trimesh, np.ndarray] | None:
     """Closed mesh of object `index` and p(uncertain) at its vertices (V,).
 

@@ -125,6 +125,10 @@ class Edges:
     @classmethod
     def of(cls, seen: SeenSurface, index: int) -> Edges:
         own = seen.owner == index
+        if not own.any():  # an object that this view does not see: free space is all there is to read
+            nowhere = np.full((1, 2), NOWHERE, np.float32)
+            none = np.zeros((2, 3, 3), np.int32)
+            return cls(seen, index, 0, 0, none, nowhere, np.zeros((1, 4), np.float32))
         rows, columns = np.flatnonzero(own.any(1)), np.flatnonzero(own.any(0))
         height, width = own.shape
         top, left = max(rows[0] - BORDER, 0), max(columns[0] - BORDER, 0)

@@ -1,0 +1,1 @@
+"""Several frames of one scene, with known camera poses, as one observation."""

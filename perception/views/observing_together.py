@@ -1,0 +1,149 @@
+"""Several frames of one scene to one observation: each cleaned by itself, then placed, matched and joined.
+
+Knows frames with camera poses in one world; knows nothing of maps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mapping.errors import FrameError
+from perception.config import PerceptionConfig
+from perception.frame import Frame
+from perception.observation import Observation, Skipped
+from perception.observing import observe
+from perception.space import Space
+from perception.views.disagreement import Left, contradictions, pixels_at, to_leave_out
+from perception.views.joint import JointObservation, View, join
+from perception.views.matching import match
+from perception.views.placing import moved, relabelled, without_pixels
+
+
+def observe_together(
+    frames: Sequence[Frame], config: PerceptionConfig | None = None, seed: int = 0, track: bool = False
+) -> JointObservation:
+    """Clean frames of one scene and express them in the table frame of the first that shows a support.
+
+    track: equal label numbers are the same object in all frames; else names must agree too, or the place
+    decides. Views that contradict the others are left out, and named in the notes. Raises FrameError when no
+    frame shows an object.
+    """
+    config = config or PerceptionConfig()
+    kept, notes, reasons = [], [], []
+    for number, frame in enumerate(frames, 1):
+        try:
+            kept.append((number, frame, observe(frame, config, seed)))
+        except FrameError as error:
+            reasons.append(f"view {number}: left out: {error}")
+    if not kept:
+        raise FrameError("no view shows an object to map (" + "; ".join(reasons) + ")")
+    notes += reasons
+    kept.sort(key=lambda entry: entry[2].support is None)  # stable: the first with a support leads
+    first_frame, first = kept[0][1:]
+    T_world_table = first_frame.camera.T_world_camera @ np.linalg.inv(first.T_table_camera)
+    to_table = np.linalg.inv(T_world_table)
+    placed = [
+        moved(observation, to_table @ frame.camera.T_world_camera, first.levels)
+        for _, frame, observation in kept
+    ]
+    labels, found = match(
+        [frame for _, frame, _ in kept], placed, [Space.of(one, config) for one in placed], track
+    )
+    notes += found
+    views = _views(kept, placed, labels)
+    for view in views:
+        notes += [f"view {view.number}: {note}" for note in view.observation.notes]
+    views, found = _agreeing(views, config)
+    skipped = _skipped(kept, {label for view in views for label in view.labels})
+    return join(views, [*notes, *found], skipped)
+
+
+def _views(
+    kept: Sequence[tuple[int, Frame, Observation]],
+    placed: Sequence[Observation],
+    labels: Sequence[dict[int, int]],
+) -> list[View]:
+    """Views under their joint labels; an object has the name that it has where it is met first."""
+    names: dict[int, str] = {}
+    for (_, frame, _), own in zip(kept, labels):
+        for old, new in own.items():
+            if old in frame.names:
+                names.setdefault(new, frame.names[old])
+    for own in labels:
+        for new in own.values():
+            names.setdefault(new, f"object_{new}")
+    views = []
+    for (number, frame, _), observation, own in zip(kept, placed, labels):
+        given, renamed = relabelled(frame, observation, own, names)
+        views.append(View(given, renamed, number))
+    return views
+
+
+def _agreeing(views: list[View], config: PerceptionConfig) -> tuple[list[View], list[str]]:
+    """The views, or parts of them, that do not contradict most others, and a line for what was left out."""
+    if len(views) == 1:
+        return views, []
+    spaces = [Space.of(view.observation, config) for view in views]
+    left = to_leave_out(contradictions(views, spaces, config), [view.labels for view in views])
+    whole = {entry.view for entry in left if entry.label is None}
+    notes = [_line(entry, views) for entry in left]
+    kept = []
+    for index, view in enumerate(views):
+        if index in whole:
+            continue
+        for entry in left:
+            if entry.view == index and entry.label is not None:
+                view = _without_object(view, entry.label, spaces[index], views, whole)
+        if view.observation.objects:
+            kept.append(view)
+    if not kept:
+        raise FrameError("the views contradict each other everywhere: are their poses of one world?")
+    return kept, notes
+
+
+def _without_object(
+    view: View, label: int, space: Space, views: Sequence[View], whole: set[int]
+) -> View:
+    """A view that says nothing of one object."""
+    others = [
+        item.points
+        for index, other in enumerate(views)
+        if index not in whole and other.number != view.number
+        for item in other.observation.objects
+        if item.label == label
+    ]
+    own = next((item for item in view.observation.objects if item.label == label), None)
+    places = np.concatenate([np.empty((0, 3), np.float32), *others])
+    observation, frame = without_pixels(view.observation, view.frame, pixels_at(space, own, places))
+    return View(frame, observation, view.number)
+
+
+def _line(entry: Left, views: Sequence[View]) -> str:
+    """What is said of something that is left out."""
+    view = views[entry.view]
+    tie = "; which of two views is right cannot be told, the first is kept" if len(views) == 2 else ""
+    if entry.label is None:
+        return (
+            f"view {view.number} ({view.frame.source}) contradicts the others: its pose or time is another "
+            f"({entry.share:.0%} of an object's points lie where other views see through); left out{tie}"
+        )
+    name = next(
+        item.name for other in views for item in other.observation.objects if item.label == entry.label
+    )
+    return (
+        f"view {view.number} contradicts the others about {entry.label} {name}: moved, or its mask is wrong "
+        f"({entry.share:.0%} of its points lie where other views see through); left out there{tie}"
+    )
+
+
+def _skipped(kept: Sequence[tuple[int, Frame, Observation]], mapped: set[int]) -> list[Skipped]:
+    """Objects that no view could use."""
+    found: dict[int, Skipped] = {}
+    for number, _, observation in kept:
+        for item in observation.skipped:
+            if item.label not in mapped:
+                reason = f"view {number}: {item.reason}"
+                found.setdefault(item.label, Skipped(item.label, item.name, reason))
+    return list(found.values())
