@@ -52,7 +52,7 @@ def merge_in_cells(
 
 
 def shift_along_rays(origin: np.ndarray, points: np.ndarray, distance: float) -> np.ndarray:
-    """Points (N, d) moved by `distance` away from the origin (d,), or one a point (N, d); negative: nearer."""
+    """Points (N, d) moved by `distance` away from an origin (d,), or one each (N, d); negative: nearer."""
     rays = points - origin
     return points + distance * rays / np.linalg.norm(rays, axis=1, keepdims=True)
 

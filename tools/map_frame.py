@@ -41,6 +41,8 @@ def map_frame(
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     set: tuple[str, ...] = (),
     rrd: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    together: bool = False,
+    track: bool = False,
     overwrite: bool = False,
     settings: Annotated[PipelineConfig, tyro.conf.arg(name="")] = TABLETOP,
 ) -> None:
@@ -48,6 +50,7 @@ def map_frame(
 
     Example: contramap map FRAME --out result --rrd run.rrd
     Several frames go to one folder each, in one process: contramap map FRAME FRAME ... --out results
+    Several views of one scene go to one map: contramap map FRAME FRAME ... --together --out result
 
     Args:
         frame: Frame folder (rgb.png, depth.png or depth.npy, labels.png or masks/, camera.json or a ROS or
@@ -73,6 +76,9 @@ def map_frame(
         config: YAML or JSON file of nested settings, as in the `config` of a scene.json.
         set: Settings as text, such as mesh.spacing=0.003; the same as --mesh.spacing 0.003.
         rrd: Also write a rerun recording to this file; `contramap view RESULT` finds it.
+        together: The frames are views of one scene, their camera poses in one world: map them as one.
+        track: With --together: equal label numbers are the same object in all views. Without it names must be
+            equal too, and what has none is matched by where it is.
         overwrite: Replace an older result in --out.
         settings: Every setting of the pipeline; the defaults are those of --preset.
     """
@@ -81,9 +87,14 @@ def map_frame(
     from reconstruction.files.result_folder import check_output, save_reconstruction
 
     chosen = pipeline_config(settings, config, set, device, prior, spacing, max_uncertainty)
-    if len(frame) > 1:
-        if rrd or rgb or depth or labels or intrinsics or camera or pose or bop:
-            raise ConfigError("several frames go with --out and settings only; map one at a time otherwise")
+    given = rgb or depth or labels or intrinsics or camera or pose or bop
+    if len(frame) > 1 and (given or (rrd and not together)):
+        raise ConfigError("several frames go with --out and settings only; map one at a time otherwise")
+    if (together or track) and len(frame) < 2:
+        raise ConfigError("--together needs several frames: contramap map FRAME FRAME ... --together")
+    if track and not together:
+        raise ConfigError("--track goes with --together: views of one scene")
+    if len(frame) > 1 and not together:
         folders = result_folders(frame, out)
         for folder in folders:
             check_output(folder, overwrite)
@@ -99,9 +110,13 @@ def map_frame(
         from reconstruction.pictures.recording import check_recording
 
         check_recording(rrd)
-    one = frame[0] if frame else None
-    source = FrameSource(one, rgb, depth, labels, intrinsics, camera, pose, depth_scale, bop, trust)
-    reconstruction = reconstruct(source.load(), chosen, seed)
+    if together:
+        views = [load_frame(path, depth_scale=depth_scale, trust=trust) for path in frame]
+        reconstruction = reconstruct(views, chosen, seed, track)
+    else:
+        one = frame[0] if frame else None
+        source = FrameSource(one, rgb, depth, labels, intrinsics, camera, pose, depth_scale, bop, trust)
+        reconstruction = reconstruct(source.load(), chosen, seed)
     save_reconstruction(reconstruction, out, overwrite=overwrite)
     if rrd is not None:
         from reconstruction.files.recordings import name_recording

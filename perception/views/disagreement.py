@@ -18,10 +18,12 @@ from perception.views.joint import View
 
 NOISES = 3.0
 """A ray contradicts a point from this many standard deviations of the depth beyond it on."""
-MOST = 0.12
+MOST = 0.10
 """Share of an object's points that another view may contradict: outlines are known to a pixel only."""
-AROUND = 2
-"""Rays pass a point only where all pixels this near to its own look beyond it [px]."""
+MOST_EACH = 0.04
+"""The same where half of a view's objects, two at least, are contradicted: then the view is wrong."""
+PIXELS_A_SIDE = 320
+"""Outlines are known to a pixel for each so many in a row of the image."""
 FEW = 600
 """Points of an object that are asked."""
 
@@ -42,12 +44,17 @@ def passed(space: Space, points: np.ndarray, config: PerceptionConfig) -> np.nda
     depth = np.where(np.isfinite(space.depth), space.depth, np.float32(0))  # unknown: nothing passed there
     if space.guessed is not None:
         depth = np.where(space.guessed, np.float32(0), depth)
-    size = 2 * AROUND + 1
+    size = 2 * _around(space) + 1
     nearest = cv2.erode(depth, np.ones((size, size), np.uint8)).reshape(-1)
     sight = space.look(points)
     measured = nearest[np.maximum(sight.pixel, 0)]
     margin = config.surface_margin + NOISES * config.depth_noise * measured**2
     return np.asarray((sight.pixel >= 0) & (measured > 0) & (sight.depth < measured - margin))
+
+
+def _around(space: Space) -> int:
+    """Rays pass a point only where all pixels this near to its own look beyond it [px]."""
+    return max(1, round(space.camera.width / PIXELS_A_SIDE))
 
 
 def contradictions(
@@ -69,45 +76,45 @@ def contradictions(
 
 
 def to_leave_out(shares: dict[int, np.ndarray], seen: Sequence[Sequence[int]]) -> list[Left]:
-    """Which views, or objects in them, to leave out, the worst first.
+    """Which views, or objects in them, to leave out: whole views first.
 
-    shares: by label, of `contradictions`; seen: labels of the objects that each view sees. One is left out as
-    long as the middle one of the others contradicts it; of two views alone the later goes, or what it says
-    where the first sees an object.
+    shares: by label, of `contradictions`; seen: labels of the objects that each view sees. A view counts as
+    contradicted by as much as the middle one of the others says; of two views alone the later goes, or what
+    it says where the first sees an object.
     """
     left: list[Left] = []
-    gone: set[tuple[int, int]] = set()
-    whole: set[int] = set()
-    while True:
-        worst = (MOST, -1, -1)
-        for label, table in shares.items():
-            alive = [v for v in range(len(table)) if v not in whole and (v, label) not in gone]
-            for v in alive:
-                if label not in seen[v] and len(alive) > 2:
-                    continue
-                others = [table[v, u] for u in alive if u != v and np.isfinite(table[v, u])]
-                if not others:
-                    continue
-                share = float(np.quantile(others, 0.5, method="lower"))
-                if share > worst[0] or (share == worst[0] and v > worst[1] >= 0):
-                    worst = (share, v, label)
-        share, view, label = worst
-        if view < 0:
-            return _whole(left, whole)
-        gone.add((view, label))
-        left.append(Left(view, label, share))
-        own = [number for number in seen[view]]
-        lost = [number for number in own if (view, number) in gone]
-        if own and len(lost) > len(own) / 2:
-            whole.add(view)
+    alive = list(range(len(seen)))
+    while len(alive) > 1:
+        scores = {view: [_share(shares[label], view, alive) for label in seen[view]] for view in alive}
+        wrong = {view: _whole(found) for view, found in scores.items()}
+        worst = max(alive, key=lambda view: (wrong[view], view))
+        if wrong[worst] <= 0:
+            break
+        left.append(Left(worst, None, wrong[worst]))
+        alive.remove(worst)
+    for label, table in shares.items():
+        here = list(alive)
+        while len(here) > 1:
+            asked = [view for view in here if label in seen[view] or len(here) == 2]
+            worst = max(asked, key=lambda view: (_share(table, view, here), view))
+            share = _share(table, worst, here)
+            if share <= MOST:
+                break
+            left.append(Left(worst, label, share))
+            here.remove(worst)
+    return left
 
 
-def _whole(left: list[Left], whole: set[int]) -> list[Left]:
-    """The same with one entry for each view that goes as a whole."""
-    kept = [entry for entry in left if entry.view not in whole]
-    for view in sorted(whole):
-        kept.append(Left(view, None, max(entry.share for entry in left if entry.view == view)))
-    return kept
+def _share(table: np.ndarray, view: int, alive: Sequence[int]) -> float:
+    """By how much the middle one of the other views contradicts a view: a share of an object's points."""
+    others = [table[view, other] for other in alive if other != view and np.isfinite(table[view, other])]
+    return float(np.quantile(others, 0.5, method="lower")) if others else 0.0
+
+
+def _whole(found: Sequence[float]) -> float:
+    """The greatest share of those (N,) of a view's objects if they speak against the whole view, else 0."""
+    high = sum(share > MOST_EACH for share in found)
+    return max(found) if high and high >= max(len(found) / 2, min(2, len(found))) else 0.0
 
 
 def pixels_at(space: Space, item: ObservedObject | None, places: np.ndarray) -> np.ndarray:
@@ -121,5 +128,5 @@ def pixels_at(space: Space, item: ObservedObject | None, places: np.ndarray) -> 
     if item is not None:
         mask[item.pixels] = 1
         mask[item.silhouette] = 1
-    wide = cv2.dilate(mask.reshape(space.depth.shape), np.ones((2 * AROUND + 1,) * 2, np.uint8))
+    wide = cv2.dilate(mask.reshape(space.depth.shape), np.ones((2 * _around(space) + 1,) * 2, np.uint8))
     return np.flatnonzero(wide)

@@ -119,9 +119,7 @@ def join(views: Sequence[View], notes: Sequence[str], skipped: Sequence[Skipped]
     if any(one is not None for one in guesses):
         empty = [np.full(one.depth.shape, np.float32(np.nan)) for one in seen]
         guess = stack.image([e if g is None else g for g, e in zip(guesses, empty)], np.nan)
-    whole = [
-        np.full(one.depth.shape, NOTHING, np.int32) if one.seen is None else one.seen for one in seen
-    ]
+    whole = [np.full(one.depth.shape, NOTHING, np.int32) if one.seen is None else one.seen for one in seen]
     first = seen[0]
     heights = {*first.levels, *(item.floor for item in objects)}
     return JointObservation(
@@ -143,9 +141,7 @@ def join(views: Sequence[View], notes: Sequence[str], skipped: Sequence[Skipped]
 
 def _merged(label: int, seen: Sequence[Observation], stack: Stack) -> ObservedObject:
     """One object as all views show it. What one view guessed and another measured is no guess any more."""
-    own = [
-        (index, item) for index, one in enumerate(seen) for item in one.objects if item.label == label
-    ]
+    own = [(index, item) for index, one in enumerate(seen) for item in one.objects if item.label == label]
     first = own[0][1]
     points = np.concatenate([item.points for _, item in own])
     guessed = np.concatenate([stack.place(index, item.guessed) for index, item in own])
@@ -177,9 +173,7 @@ def _on_floors(observation: Observation, floors: dict[int, float]) -> Observatio
     )
 
 
-def _obstacles(
-    objects: Sequence[ObservedObject], seen: Sequence[Observation], stack: Stack
-) -> OtherSurface:
+def _obstacles(objects: Sequence[ObservedObject], seen: Sequence[Observation], stack: Stack) -> OtherSurface:
     """Obstacles of all views, but for what another view knows to be an object."""
     points = np.concatenate([one.other.points for one in seen])
     pixels = np.concatenate([stack.place(index, one.other.pixels) for index, one in enumerate(seen)])

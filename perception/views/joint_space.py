@@ -19,7 +19,14 @@ from perception.views.joint import JointObservation, Stack
 RANK = np.array([4, 3, 2, 1, 5], np.int8)
 """By Region: what one view says of a point outweighs what says less."""
 REGION_OF_RANK = np.array(
-    [Region.OUT_OF_VIEW, Region.OUT_OF_VIEW, Region.OCCLUDED, Region.SURFACE, Region.FREE, Region.BELOW_SUPPORT],
+    [
+        Region.OUT_OF_VIEW,
+        Region.OUT_OF_VIEW,
+        Region.OCCLUDED,
+        Region.SURFACE,
+        Region.FREE,
+        Region.BELOW_SUPPORT,
+    ],
     np.int8,
 )
 

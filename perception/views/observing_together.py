@@ -6,10 +6,12 @@ Knows frames with camera poses in one world; knows nothing of maps.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from mapping.errors import FrameError
+from perception.camera import invert_rigid
 from perception.config import PerceptionConfig
 from perception.frame import Frame
 from perception.observation import Observation, Skipped
@@ -60,6 +62,28 @@ def observe_together(
     return join(views, [*notes, *found], skipped)
 
 
+def observe_again(
+    frames: Sequence[Frame], config: PerceptionConfig, seed: int, T_world_table: np.ndarray
+) -> Observation:
+    """The observation behind a map that was made before, from its views as they were kept with it.
+
+    Their labels were cleaned once already; the map's own table frame is the one that counts.
+    """
+    to_table = invert_rigid(T_world_table)
+    if len(frames) == 1:
+        observation = observe(frames[0], config, seed)
+        return replace(observation, T_table_camera=to_table @ frames[0].camera.T_world_camera)
+    joint = observe_together(frames, config, seed, track=True)
+    views = tuple(
+        replace(
+            view,
+            observation=replace(view.observation, T_table_camera=to_table @ view.frame.camera.T_world_camera),
+        )
+        for view in joint.views
+    )
+    return replace(joint, T_table_camera=views[0].observation.T_table_camera, views=views)
+
+
 def _views(
     kept: Sequence[tuple[int, Frame, Observation]],
     placed: Sequence[Observation],
@@ -103,9 +127,7 @@ def _agreeing(views: list[View], config: PerceptionConfig) -> tuple[list[View], 
     return kept, notes
 
 
-def _without_object(
-    view: View, label: int, space: Space, views: Sequence[View], whole: set[int]
-) -> View:
+def _without_object(view: View, label: int, space: Space, views: Sequence[View], whole: set[int]) -> View:
     """A view that says nothing of one object."""
     others = [
         item.points

@@ -59,7 +59,7 @@ def relabelled(
     given = np.where((observation.labels > 0) & (observation.labels != own), observation.labels, given)
     frame = frame.renamed({})
     object.__setattr__(frame, "labels", table[given])
-    object.__setattr__(frame, "names", {label: name for label, name in names.items()})
+    object.__setattr__(frame, "names", dict(names))
     return frame, replace(observation, labels=table[observation.labels], objects=objects, seen=seen)
 
 
@@ -90,9 +90,7 @@ def without_pixels(observation: Observation, frame: Frame, pixels: np.ndarray) -
         depth=np.where(image, nothing, observation.depth),
         labels=np.where(image, observation.labels.dtype.type(0), observation.labels),
         objects=tuple(objects),
-        other=replace(
-            other, points=other.points[left], pixels=other.pixels[left], bulky=other.bulky[left]
-        ),
+        other=replace(other, points=other.points[left], pixels=other.pixels[left], bulky=other.bulky[left]),
         seen=None if observation.seen is None else np.where(image, np.int32(NOTHING), observation.seen),
         guess=None if observation.guess is None else np.where(image, nothing, observation.guess),
     )

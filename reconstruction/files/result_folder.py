@@ -83,7 +83,7 @@ def _write(
         (place / "mesh.obj").write_bytes(encode_obj(other.mesh))
     reconstruction.map.save(folder / "map.npz")
     _write_fields(reconstruction, folder / "field.npz")
-    write_frame(reconstruction.frame, reconstruction.observation.first, folder)
+    write_frame(reconstruction.frame, reconstruction.observation, folder)
     draw_overview(reconstruction, folder / "overview.png", truth)
     if recording:
         from reconstruction.pictures.recording import record

@@ -12,6 +12,7 @@ import numpy as np
 
 from mapping.plain_json import plain
 from mapping.threads import thread_count
+from perception.views.joint import JointObservation
 
 FORMAT = "contramap-result-1"
 OTHER_FOLDER = "objects/other"
@@ -63,6 +64,7 @@ def describe(reconstruction: Reconstruction, closed: Mapping[int, bool] | None =
                 for item in reconstruction.skipped
             ],
             "notes": [*reconstruction.notes, *reconstruction.contradictions],
+            **_describe_views(reconstruction),
             "timings_ms": reconstruction.timings_ms,
             "seed": reconstruction.seed,
             "threads": thread_count(),
@@ -133,6 +135,23 @@ def _describe_other(reconstruction: Reconstruction) -> dict[str, Any] | None:
         "vertices": len(other.mesh.vertices),
         "faces": len(other.mesh.faces),
     }
+
+
+def _describe_views(reconstruction: Reconstruction) -> dict[str, Any]:
+    """The views that a map of several was made from; nothing for a single frame."""
+    observation = reconstruction.observation
+    if not isinstance(observation, JointObservation):
+        return {}
+    views = [
+        {
+            "number": view.number,
+            "source": view.frame.source,
+            "T_world_camera": view.frame.camera.T_world_camera,
+            "objects": view.labels,
+        }
+        for view in observation.views
+    ]
+    return {"views": views}
 
 
 def _describe_supports(reconstruction: Reconstruction) -> list[dict[str, Any]]:

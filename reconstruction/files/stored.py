@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,15 +14,15 @@ import trimesh
 from mapping.errors import ContraMapError, DataError
 from mapping.guarded_files import read_json
 from mapping.settings import override
-from perception.camera import invert_rigid
 from perception.frame import Frame
 from perception.observation import Observation
-from perception.observing import observe
 from perception.space import Space
+from perception.views.joint_space import space_of
+from perception.views.observing_together import observe_again
 from reconstruction.config import preset
 from reconstruction.files.mesh_files import decode_ply
 from reconstruction.files.scene_json import FORMAT
-from reconstruction.files.stored_frame import read_frame
+from reconstruction.files.stored_frame import read_frame, read_views
 from reconstruction.lookup import count, find, names
 from reconstruction.query import Query, ask_world
 
@@ -112,14 +112,11 @@ class StoredResult:
             raise DataError(
                 f"{self.folder / 'scene.json'}: its settings cannot be used ({error}); map the frame again"
             ) from error
-        frame = self.frame()
-        observation = observe(frame, config.perception, seed)
+        views = read_views(self.folder, len(self.scene.get("views", [None])))
+        observation = observe_again(views, config.perception, seed, self.T_world_table)
         if [item.label for item in observation.objects] != [label for label in columns if label > 0]:
             raise DataError(f"{self.folder}: its frame shows other objects than its map; map the frame again")
-        # Its labels were cleaned once already; the map's own frame is the one that counts.
-        T_table_camera = invert_rigid(self.T_world_table) @ frame.camera.T_world_camera
-        observation = replace(observation, T_table_camera=T_table_camera)
-        return self.map(), observation, Space.of(observation, config.perception)
+        return self.map(), observation, space_of(observation, config.perception)
 
     def __getitem__(self, key: str | int) -> StoredObject:
         """The object of this name or label; DataError that names the valid ones."""

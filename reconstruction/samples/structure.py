@@ -38,7 +38,11 @@ def structure(
     """(N, K+1) guess of {empty, object 1..K} at points (N, 3) behind what is seen, none of them under a
     support. With obstacles (M, 3), thinned surface points of what has no label, (N, K+2): they are last."""
     views = each_view(observation, space)
-    guess = _objects(*views[0], config, points) if len(views) == 1 else _all_views(observation, views, config, points)
+    guess = (
+        _objects(*views[0], config, points)
+        if len(views) == 1
+        else _all_views(observation, views, config, points)
+    )
     if space.guessed is not None:
         sight = space.look(points)
         early = (sight.pixel >= 0) & space.guessed.reshape(-1)[sight.pixel] & (sight.behind < 0)

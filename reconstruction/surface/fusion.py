@@ -10,8 +10,8 @@ import numpy as np
 
 from reconstruction.config import FusionConfig
 from reconstruction.surface.field import extent
-from reconstruction.surface.seen_cells import nodes_of_seen_cells
 from reconstruction.surface.joint_surface import JointEdges
+from reconstruction.surface.seen_cells import nodes_of_seen_cells
 from reconstruction.surface.seen_surface import Edges
 
 PER_METRE = 1000.0

@@ -1,8 +1,8 @@
 """What several views measured of surfaces, read as one: the same questions as of one view, one answer.
 
-Knows the readings of single views; knows nothing of maps, lattices or meshes. Free for one view is free. Where
-several see the same surface, their distances are averaged, the nearer view counting more: the least of them
-would carve away their noise.
+Knows the readings of single views; knows nothing of maps, lattices or meshes. Free for one view is
+free. Where several see the same surface, their distances are averaged, the nearer view counting more: the
+least of them would carve away their noise.
 """
 
 from __future__ import annotations
@@ -94,9 +94,7 @@ class JointEdges:
         return height - np.float32(self.floor)
 
 
-def _same_surface(
-    distances: Sequence[np.ndarray], weights: Sequence[float], spread: float
-) -> np.ndarray:
+def _same_surface(distances: Sequence[np.ndarray], weights: Sequence[float], spread: float) -> np.ndarray:
     """(N,) mean of the distances (N,) within `spread` of the least one."""
     least = np.minimum.reduce(distances)
     limit = least + np.float32(spread)

@@ -1,0 +1,222 @@
+"""Several views of one scene: evidence adds up, order does not matter, contradictions are said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import OBJECTS, Shape, make_tabletop, shape_mesh
+
+from mapping.errors import FrameError
+from perception.camera import Camera
+from perception.frame import Frame
+from perception.frame_io import save_frame
+from perception.space import Region
+from perception.views.joint_space import JointSpace
+from perception.views.observing_together import observe_together
+from reconstruction import load_result, reconstruct
+from reconstruction.files.scene_json import describe
+from reconstruction.result import Reconstruction
+from reconstruction.solid import Solid
+from tools.cli import main
+
+EYES = ((-0.55, 0.0, 0.5), (0.6, 0.1, 0.5), (0.0, 0.65, 0.45), (0.05, -0.65, 0.5), (-0.4, -0.45, 0.5))
+
+
+@cache
+def views(count: int, noise: float = 0.001) -> list[Frame]:
+    """Small frames of one table from all around."""
+    return [
+        make_tabletop(eye=eye, size=(160, 120), noise=noise, seed=seed).frame
+        for seed, eye in enumerate(EYES[:count])
+    ]
+
+
+@cache
+def mapped(*which: int) -> Reconstruction:
+    """The map of some of the views, in that order."""
+    return reconstruct([views(5)[number] for number in which])
+
+
+def posed(frame: Frame, T: np.ndarray) -> Frame:
+    """The same image, said to be taken from elsewhere."""
+    camera = frame.camera
+    return replace(frame, camera=Camera(camera.K, camera.width, camera.height, T))
+
+
+def shifted(frame: Frame, *shift: float) -> Frame:
+    T = frame.camera.T_world_camera.copy()
+    T[:3, 3] += shift
+    return posed(frame, T)
+
+
+def numbered(frame: Frame, order: list[int], names: dict[int, str] | None = None) -> Frame:
+    """The same frame with label k + 1 as order[k]."""
+    assert frame.labels is not None
+    return replace(frame, labels=np.array([0, *order])[frame.labels], names=names or {})
+
+
+def truth(label: int) -> Solid:
+    import trimesh
+
+    mesh = shape_mesh(OBJECTS[label - 1])
+    return Solid(trimesh.Trimesh(np.asarray(mesh.vertices), np.asarray(mesh.triangles)))
+
+
+def hidden_error(result: Reconstruction, label: int) -> float:
+    """Mean distance [m] of the true surface from the mesh of an object."""
+    points = truth(label).mesh.sample(1500, seed=0)
+    return float(np.mean(Solid(result[label].mesh).distance(points)))
+
+
+def test_one_frame_in_a_list_is_that_frame() -> None:
+    alone, listed = reconstruct(views(5)[0]), mapped(0)
+    assert alone.map.W.numpy().tobytes() == listed.map.W.numpy().tobytes()
+    for a, b in zip(alone, listed, strict=True):
+        assert a.mesh.export(file_type="ply") == b.mesh.export(file_type="ply")
+    scenes = [describe(replace(result, timings_ms={})) for result in (alone, listed)]
+    assert scenes[0] == scenes[1]
+    assert "views" not in scenes[0]
+
+
+def test_views_of_nothing_are_refused() -> None:
+    with pytest.raises(FrameError, match="empty"):
+        reconstruct([])
+
+
+def test_further_views_help() -> None:
+    """With views from all around, what was hidden is known: nearer to the truth, and less uncertain."""
+    one, four = mapped(0), mapped(0, 1, 2, 3)
+    for label in (1, 2, 3, 4):
+        assert hidden_error(four, label) < hidden_error(one, label)
+        assert four[label].mean_uncertainty < one[label].mean_uncertainty
+    assert sum(hidden_error(four, k) for k in (1, 2, 3, 4)) < 0.7 * sum(
+        hidden_error(one, k) for k in (1, 2, 3, 4)
+    )
+    assert all(item.watertight for item in four)
+    assert min(found.agreement for found in four.agreement.values()) > 0.9
+
+
+def test_the_order_of_views_does_not_matter() -> None:
+    a, b = mapped(0, 1, 2, 3), mapped(3, 1, 0, 2)
+    for label in (1, 2, 3, 4):
+        true = truth(label)
+        low, high = true.mesh.bounds
+        grid = np.stack(np.meshgrid(*(np.arange(u - 0.02, v + 0.02, 0.005) for u, v in zip(low, high))), -1)
+        points = grid.reshape(-1, 3).astype(np.float32)
+        inside = true.inside(points)
+        scores = []
+        for result in (a, b):
+            found = Solid(result[label].mesh).inside(points)
+            scores.append((found & inside).sum() / (found | inside).sum())
+        assert abs(scores[0] - scores[1]) < 0.03  # objects of 12 nodes a side
+
+
+def test_one_view_twice_changes_little() -> None:
+    once, twice = mapped(0), mapped(0, 0)
+    for item in once:
+        apart = Solid(twice[item.label].mesh).distance(item.mesh.sample(800, seed=0))
+        assert np.mean(apart) < 0.001
+
+
+def test_free_for_one_ray_is_free() -> None:
+    joint = observe_together(views(2))
+    space = JointSpace.joined(joint)
+    rng = np.random.default_rng(0)
+    points = rng.uniform((-0.2, -0.2, -0.02), (0.2, 0.2, 0.25), (3000, 3)).astype(np.float32)
+    each = np.stack([one.classify(points) for one in space.views])
+    found = space.classify(points)
+    free = (each == Region.FREE).any(0)
+    assert (found[free] == Region.FREE).all()
+    occluded = found == Region.OCCLUDED
+    assert occluded.any()
+    assert not np.isin(each[:, occluded], (Region.FREE, Region.SURFACE)).any()
+    sight = space.look(points)
+    rows = np.stack([one.look(points).behind for one in space.views])
+    with np.errstate(invalid="ignore"):
+        np.testing.assert_array_equal(sight.behind, np.fmin.reduce(rows))
+
+
+def test_a_point_of_an_object_has_its_pixel_in_the_stacked_image() -> None:
+    joint = observe_together([views(2)[0], make_tabletop(eye=EYES[1], size=(128, 96)).frame])
+    assert joint.depth.shape == (120 + 96, 160)
+    for item in joint.objects:
+        assert (joint.labels.reshape(-1)[item.pixels] == item.label).all()
+        assert len(item.points) == len(item.pixels)
+
+
+def test_the_places_of_objects_tell_which_is_which() -> None:
+    """Numbers without names say nothing: view 2 has its own."""
+    order = [3, 1, 4, 2]
+    frames = [numbered(views(2)[0], [1, 2, 3, 4]), numbered(views(2)[1], order)]
+    joint = observe_together(frames)
+    assert sorted(item.label for item in joint.objects) == [1, 2, 3, 4]
+    named = observe_together(views(2))
+    for item in joint.objects:
+        same = next(other for other in named.objects if other.label == item.label)
+        assert len(same.points) == len(item.points)
+    assert any("by where it is" in note for note in joint.notes)
+
+
+def test_tracked_numbers_are_taken_at_their_word() -> None:
+    frames = [numbered(frame, [1, 2, 3, 4]) for frame in views(2)]
+    joint = observe_together(frames, track=True)
+    assert sorted(item.label for item in joint.objects) == [1, 2, 3, 4]
+    assert not any("by where it is" in note for note in joint.notes)
+
+
+@pytest.mark.parametrize("which", [0, 2])
+def test_a_wrong_pose_is_said_and_left_out(which: int) -> None:
+    frames = list(views(5))
+    frames[which] = shifted(frames[which], 0.0, 0.02, 0.0)
+    joint = observe_together(frames)
+    assert [view.number for view in joint.views] == [n + 1 for n in range(5) if n != which]
+    (note,) = [note for note in joint.notes if "contradicts" in note]
+    assert note.startswith(f"view {which + 1} ")
+    assert not [note for note in observe_together(views(5)).notes if "contradicts" in note]
+
+
+def test_a_moved_object_is_said_and_its_old_place_forgotten() -> None:
+    shapes = list(OBJECTS)
+    frames = list(views(4))
+    shapes[1] = Shape("sphere", (0.04,), (-0.14, -0.16, 0.04))
+    frames[3] = make_tabletop(tuple(shapes), eye=EYES[3], size=(160, 120), noise=0.001, seed=3).frame
+    joint = observe_together(frames)
+    (note,) = [note for note in joint.notes if "contradicts" in note]
+    assert note.startswith("view 4 ")
+    assert "2 sphere_2" in note
+    assert len(joint.views) == 4
+    moved = next(item for item in joint.objects if item.label == 2)
+    centre = joint.T_table_camera @ np.linalg.inv(frames[0].camera.T_world_camera) @ [-0.02, -0.10, 0.04, 1]
+    assert np.linalg.norm(np.mean(moved.bounds, axis=0) - centre[:3]) < 0.02
+
+
+def test_a_view_without_objects_is_said_and_left_out() -> None:
+    nothing = views(2)[1]
+    assert nothing.labels is not None
+    corner = (np.indices((120, 160)).sum(0) == 0).astype(np.uint16)
+    few = replace(nothing, labels=corner)
+    joint = observe_together([views(2)[0], few])
+    assert [view.number for view in joint.views] == [1]
+    assert any(note.startswith("view 2: left out") for note in joint.notes)
+
+
+def test_views_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One map of all frames, whose kept result answers as the one in memory does."""
+    folders = []
+    for number, frame in enumerate(views(5)[:2]):
+        save_frame(frame, tmp_path / f"view{number}")
+        folders.append(str(tmp_path / f"view{number}"))
+    out = tmp_path / "result"
+    assert main(["map", *folders, "--together", "--out", str(out)]) == 0
+    stored, result = load_result(out), mapped(0, 1)
+    assert [view["number"] for view in stored.scene["views"]] == [1, 2]
+    rng = np.random.default_rng(0)
+    points = rng.uniform((-0.2, -0.2, 0.0), (0.2, 0.2, 0.25), (500, 3))
+    assert (stored.query(points).label == result.query(points).label).mean() > 0.97
+    capsys.readouterr()
+    assert main(["map", folders[0], "--together", "--out", str(tmp_path / "no")]) == 2
+    assert "several frames" in capsys.readouterr().err
