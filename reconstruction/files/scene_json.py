@@ -8,8 +8,6 @@ import unicodedata
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from mapping.plain_json import plain
 from mapping.threads import thread_count
 from perception.views.joint import JointObservation
