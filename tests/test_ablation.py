@@ -64,9 +64,14 @@ def test_variants_are_methods() -> None:
     names = [name for *_, name in (*single_factors(), *two_factors())]
     assert variant() == "contramap"
     assert variant("near", "none", pairs=False) == "contramap:noise=near,prior=none,pairs=false"
-    assert len(set(names)) == 10
+    assert len(set(names)) == 13
     for name in names:
         method(name)
+
+
+def test_unknown_parts_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="valid: noise, prior, hinge points, surface pairs, surface"):
+        ablation(tmp_path, out=tmp_path, parts=("magic",))
 
 
 def test_unknown_settings_are_refused() -> None:
@@ -89,7 +94,7 @@ def test_the_tables_are_complete_and_a_second_call_only_reads(scenes: Path, tmp_
     text = (tmp_path / "ablation.md").read_text()
     assert text.count("\n| ") == len(single_factors()) + len(two_factors()) + 2
     kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("runs/*/*.json")}
-    assert len(kept) == 9
+    assert len(kept) == 13
     ablation(scenes, out=tmp_path, limit=1)
     assert all(path.stat().st_mtime_ns == time_ns for path, time_ns in kept.items())
-    assert len(json.loads((tmp_path / "ablation.json").read_text())["methods"]) == 9
+    assert len(json.loads((tmp_path / "ablation.json").read_text())["methods"]) == 13
