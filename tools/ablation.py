@@ -99,8 +99,8 @@ def ablation(
         workers: Jobs at a time.
         threads: Threads of each job.
         ycb: Folder of YCB scans; otherwise where the scenes were made from, or where scans are looked for.
-        parts: Only these, of noise, prior, "hinge points", "surface pairs", surface; by default all, and noise
-            with prior.
+        parts: Only these, of noise, prior, "hinge points", "surface pairs", surface; by default all, and
+            noise with prior.
     """
     from mapping.errors import ConfigError, DataError
     from mapping.files import write_atomically
