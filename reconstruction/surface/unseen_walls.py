@@ -10,7 +10,8 @@ from scipy import ndimage
 
 from reconstruction.surface.field import OUTSIDE, extent
 from reconstruction.surface.fusion import PER_METRE, beside, places
-from reconstruction.surface.seen_surface import FAR, Edges
+from reconstruction.surface.joint_surface import JointEdges
+from reconstruction.surface.seen_surface import FAR, Edges, Reading
 from reconstruction.surface.tunnels import membranes
 
 GRAZED = 0.0015
@@ -35,7 +36,7 @@ def has_tunnel(vertices: np.ndarray, faces: np.ndarray) -> bool:
 
 
 def with_unseen_walls(
-    log_odds: np.ndarray, corner: np.ndarray, spacing: float, edges: Edges, seen: np.ndarray
+    log_odds: np.ndarray, corner: np.ndarray, spacing: float, edges: Edges | JointEdges, seen: np.ndarray
 ) -> np.ndarray:
     """The log odds (nx, ny, nz) of one object with walls across tunnels that no ray passed.
 
@@ -76,14 +77,22 @@ def with_unseen_walls(
     return result
 
 
-def _unpassed(points: np.ndarray, edges: Edges, seen: np.ndarray) -> np.ndarray:
+def _unpassed(points: np.ndarray, edges: Edges | JointEdges, seen: np.ndarray) -> np.ndarray:
     """How far points (N, 3) [m] are behind what was measured (N,), as log odds; NaN where rays passed."""
+    if isinstance(edges, JointEdges):
+        passed = np.any([_passed(points, view, view.read(points), seen) for view in edges.views], axis=0)
+        distance = edges.read(points).distance
+    else:
+        reading = edges.read(points)
+        passed, distance = _passed(points, edges, reading, seen), reading.distance
+    return np.where(passed, np.float32(np.nan), np.float32(PER_METRE) * distance)
+
+
+def _passed(points: np.ndarray, edges: Edges, reading: Reading, seen: np.ndarray) -> np.ndarray:
+    """Whether rays of one image are known to have passed points (N, 3) [m], or the object on their way."""
     T = edges.seen.T_camera_table
     eye = (-T[:3, :3].T @ T[:3, 3]).astype(np.float32)
-    reading = edges.read(points)
     # What is seen before the object hides it; what is seen behind it ends rays that passed it.
     nearest = np.linalg.norm(seen - eye, axis=1).min()
     met = np.linalg.norm(points - eye, axis=1) - reading.others
-    foreign = (reading.others < FAR) & (met > nearest)
-    passed = (reading.distance < -GRAZED) | foreign
-    return np.where(passed, np.float32(np.nan), np.float32(PER_METRE) * reading.distance)
+    return (reading.distance < -GRAZED) | (reading.others < FAR) & (met > nearest)
