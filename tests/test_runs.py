@@ -21,7 +21,7 @@ from tools.exit_code import exit_code
 from tools.runs.failures import RunsFailed
 from tools.runs.kept import read_kept
 from tools.runs.signals import Stopped
-from tools.runs.workers import run_in_workers
+from tools.runs.workers import map_in_workers, run_in_workers
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, str(Path(__file__).parent)])}
 
@@ -62,6 +62,26 @@ def test_a_dead_worker_costs_the_task_it_had_and_no_other() -> None:
     assert [number for number, done in found.items() if done.died] == [-1, -2]
     assert str(found[100].error) == "too large"
     assert {number: found[number].result for number in (1, 7, 2, 8, 3)} == {1: 1, 7: 49, 2: 4, 8: 64, 3: 9}
+
+
+def die_once(path: str) -> str:
+    """Dies when there is no file at the path, which it makes."""
+    if not Path(path).exists():
+        Path(path).touch()
+        os._exit(9)
+    return path
+
+
+@pytest.mark.slow
+def test_results_in_order_and_one_more_try_for_those_that_died(tmp_path: Path) -> None:
+    assert list(map_in_workers(square_or_die, [7, 1, 8, 2], 2)) == [49, 1, 64, 4]
+    paths = [str(tmp_path / name) for name in "abc"]
+    Path(paths[0]).touch()
+    assert list(map_in_workers(die_once, paths, 2)) == paths
+    with pytest.raises(ValueError, match="too large"):
+        list(map_in_workers(square_or_die, [1, 100], 2))
+    with pytest.raises(DataError, match="twice"):
+        list(map_in_workers(square_or_die, [1, -1], 2))
 
 
 def test_workers_end_with_the_iterator() -> None:

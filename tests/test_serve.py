@@ -232,3 +232,33 @@ def test_command_refuses_in_one_line(arguments, capsys):
 
     assert main(["serve", *arguments]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("arguments", [["--frames", "3"], ["--repeat", "0"]])
+def test_the_benchmark_refuses_in_one_line(arguments, tmp_path, capsys):
+    from tools.cli import main
+
+    assert main(["benchmark", "serve", "--frame", str(tmp_path), *arguments]) == 2
+    assert "at least" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_benchmark_writes_its_tables(tabletop_frame, tmp_path):
+    """A service in a process of its own, with killed clients and broken messages, survives 30 frames."""
+    import json
+
+    from perception.frame_io import save_frame
+    from tools.cli import main
+
+    save_frame(tabletop_frame, tmp_path / "frame")
+    options = ["--frames", "30", "--repeat", "2", "--out", str(tmp_path / "serve.md")]
+    figures = tmp_path / "figures.json"
+    command = ["benchmark", "serve", "--frame", str(tmp_path / "frame"), "--json", str(figures), *options]
+    assert main(command) == 0
+    text = (tmp_path / "serve.md").read_text()
+    assert "320x240" in text
+    assert "client killed in the middle of a request" in text
+    found = json.loads(figures.read_text())
+    assert found["held"][-1]["frames"] == 30
+    assert len(found["troubles"]) == 7
+    assert all(count >= 1 for count in found["troubles"].values())

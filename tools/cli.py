@@ -19,6 +19,7 @@ from tools.reproduce import commands as reproduced
 from tools.scaling import scaling
 from tools.semantic.command import semantic
 from tools.serve import serve
+from tools.serving.benchmark import serve_benchmark
 from tools.simulate import fetch_ycb, scenes
 from tools.view import view
 
@@ -34,7 +35,7 @@ def fetch() -> None:
 
 
 def benchmark() -> None:
-    """Time the pipeline: `contramap benchmark latency | scaling`."""
+    """Time the pipeline: `contramap benchmark latency | scaling | serve`."""
 
 
 def reproduce() -> None:
@@ -57,7 +58,7 @@ COMMANDS: dict[str, Command] = {
 }
 GROUPS: dict[str, dict[str, Command]] = {
     "fetch": {"ycb": fetch_ycb},
-    "benchmark": {"latency": latency, "scaling": scaling},
+    "benchmark": {"latency": latency, "scaling": scaling, "serve": serve_benchmark},
     "reproduce": {
         "toy": reproduced.toy,
         "occupancy": reproduced.occupancy,

@@ -15,6 +15,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, Generic, TypeVar
 
+from mapping.errors import DataError
 from mapping.parent import end_with_parent
 
 Task = TypeVar("Task")
@@ -92,6 +93,43 @@ def run_in_workers(
             if worker.process.is_alive():
                 worker.process.kill()
                 worker.process.join()
+
+
+def map_in_workers(
+    function: Callable[[Task], Result], tasks: Iterable[Task], workers: int, threads: int = 1
+) -> Iterator[Result]:
+    """function(task) of all tasks, in their order, from worker processes; a task whose worker dies is tried
+    once more. Raises what a task raises, and DataError when a worker dies again."""
+    numbered = list(enumerate(tasks))
+    made: dict[int, Result] = {}
+    following = 0
+    for _ in range(2):
+        died = []
+        for over in run_in_workers(_Numbered(function), numbered, workers, threads):
+            if over.error is not None:
+                raise over.error
+            if over.died:
+                died.append(over.task)
+                continue
+            assert over.result is not None
+            made[over.task[0]] = over.result[0]
+            while following in made:
+                yield made.pop(following)
+                following += 1
+        if not died:
+            return
+        numbered = died
+    raise DataError(f"{len(died)} of the tasks: {CRASHED}, twice; use fewer --workers")
+
+
+@dataclass(frozen=True)
+class _Numbered:
+    """A function of a task, for a task with its number; the result in a tuple, since it may be None."""
+
+    function: Callable[[Any], Any]
+
+    def __call__(self, task: tuple[int, Any]) -> tuple[Any]:
+        return (self.function(task[1]),)
 
 
 def _finished(busy: list[_Worker], pool: list[_Worker]) -> Iterator[Done]:
