@@ -26,11 +26,13 @@ OBSTACLE_WALL = 0.02
 FOOT = 0.005
 """Hidden space this close above a support is not known to be free: the support is known no better [m]."""
 PIXEL_DEPTH = 0.01
-"""At the rim of an obstacle, what is this little behind its nearest pixel's surface belongs to it [m]."""
+"""At a rim, what is this little behind the nearest pixel's surface belongs to it [m]."""
 GAP = 2
 """Pixels without depth this close to measured ones lie in a gap [px]."""
 UNKNOWN = 0.5
 """Least p(uncertain) of what is called unknown."""
+UNSEEN = 0.3
+"""Least p(uncertain) of what is called empty where no ray passed: it is a guess, however likely."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,8 @@ class Query:
     label: (N,) int what is there: 0 empty, k > 0 the object with instance label k, -1 unknown (uncertain),
     -2 another obstacle (measured, but without a label), -3 a support, such as the table.
     occupancy: (N,) P(any object or other obstacle) among the classes other than uncertain; a support is
-    neither; uncertainty: (N,) p(uncertain); gradient: (N, 3) d occupancy / d point [1/m] in the world frame.
+    neither; uncertainty: (N,) p(uncertain), at least 0.3 in what is empty only as a guess, for no ray passed
+    there; gradient: (N, 3) d occupancy / d point [1/m] in the world frame.
     """
 
     label: np.ndarray
@@ -126,7 +129,9 @@ def _mind_what_was_seen(
     label[(sight.pixel < 0) & (label == EMPTY)] = NOTHING
     empty = label == EMPTY
     support |= empty & hit & (seen == SUPPORT)
-    beside = empty & _at_obstacle(observation, sight)
+    # Flat things without a label pass for their support: their rims, too.
+    support |= empty & (seen == SUPPORT) & _at_rim(observation, sight, SUPPORT)
+    beside = empty & _at_rim(observation, sight, OTHER)
     label[beside] = OTHER
     empty &= ~beside
     wall = empty & hit & (seen > 0) & (behind < SURE_WALL)
@@ -136,6 +141,8 @@ def _mind_what_was_seen(
     label[near] = OTHER
     label[obstacle & ~near] = NOTHING
     label[support] = SUPPORT
+    hidden = (label == EMPTY) & ~(behind < -TOUCHING)  # behind something, or in a gap of the depth image
+    answer.uncertainty[hidden] = UNSEEN + (1 - UNSEEN) * answer.uncertainty[hidden]
     unknown = label == NOTHING
     answer.uncertainty[unknown] = np.maximum(answer.uncertainty[unknown], UNKNOWN)
     near |= beside
@@ -154,12 +161,11 @@ def _floor_seen(observation: Observation, seen: np.ndarray) -> np.ndarray:
     return height
 
 
-def _at_obstacle(observation: Observation, sight: Sight) -> np.ndarray:
-    """Which points (N,) lie at the depth of an obstacle that one of the pixels around theirs sees: rims are
-    known to a pixel, and the pixel at a rim is often without depth."""
+def _at_rim(observation: Observation, sight: Sight, kind: int) -> np.ndarray:
+    """Which points (N,) lie at the depth of an obstacle, or support, that one of the pixels around theirs
+    sees: rims are known to a pixel, and the pixel at a rim is often without depth."""
     assert observation.seen is not None
-    obstacle = np.asarray(observation.seen == OTHER)
-    gap = sight.depth - _nearest(observation, obstacle, 1)[sight.pixel]
+    gap = sight.depth - _nearest(observation, np.asarray(observation.seen == kind), 1)[sight.pixel]
     return (sight.pixel >= 0) & (gap > -TOUCHING) & (gap < PIXEL_DEPTH)
 
 

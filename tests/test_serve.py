@@ -63,6 +63,22 @@ def small(frame) -> dict[str, np.ndarray]:
     return {**parts(frame), "depth": frame.depth[::2, ::2], "labels": frame.labels[::2, ::2], "K": K}
 
 
+def test_answers_say_how_far_to_trust_them(client, tabletop_frame):
+    frame = small(tabletop_frame)
+    plain = client.map(**frame)["objects"]
+    checked = client.map(**frame, agreement=True)["objects"]
+    for item, full in zip(plain, checked, strict=True):
+        trust = item["trust"]
+        assert 0 < trust["measured_pixels"] <= trust["labelled_pixels"]
+        assert trust["support_seen"] is True
+        assert trust["notes"] == []
+        assert "agreement" not in trust
+        assert full["trust"]["agreement"] > 0.8
+        assert full["trust"]["early_rays"] < 0.05
+    with pytest.raises(RuntimeError, match="agreement must be true or false"):
+        client.map(**frame, agreement="yes")
+
+
 def test_answers_are_the_librarys(client, tabletop_frame):
     answer = client.map(**parts(tabletop_frame), names={"1": "a box"})
     mine = reconstruct(tabletop_frame)

@@ -16,10 +16,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import tyro
 
-from mapping.errors import ConfigError, FrameError
+from mapping.errors import ConfigError, DataError, FrameError
+from mapping.files import write_atomically
 from perception.camera import invert_rigid, transform
 from perception.frame import Frame
 from tools.exit_code import exit_code
+from tools.provenance import with_provenance
 
 if TYPE_CHECKING:
     from reconstruction.solid import Solid
@@ -52,6 +54,7 @@ def main(
     ycb: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     limit: int = 1000,
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    table: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> None:
     """Drop one mask at a time and count what is called free.
 
@@ -61,6 +64,7 @@ def main(
         ycb: Folder of YCB scans, for scenes made of them.
         limit: Frames looked at, at most.
         json: Also write the figures to this file.
+        table: Also write them as a markdown table to this file.
     """
     from tqdm import tqdm
 
@@ -69,30 +73,72 @@ def main(
     if scenes is None and real is None:
         raise ConfigError("give --scenes DIR, --real DIR, or both")
     rows = []
-    drops = [*(_simulated(scenes, ycb, limit) if scenes else ()), *(_real(real, limit) if real else ())]
-    for drop in tqdm(drops, desc="dropped masks"):
+    simulated = list(_simulated(scenes, ycb, limit)) if scenes else []
+    drops = [*simulated, *(_real(real, limit) if real else ())]
+    for number, drop in enumerate(tqdm(drops, desc="dropped masks")):
         row = judge(drop)
         if row is not None:
-            rows.append(row)
-    inside = np.array([row["inside_free"] for row in rows])
-    measured = np.array([row["measured_free"] for row in rows])
-    figures = {
-        "drops": len(rows),
-        "inside_free": {"mean": float(inside.mean()), "largest": float(inside.max())},
-        "measured_free": {"mean": float(measured.mean()), "largest": float(measured.max())},
-        "inside_other": float(np.mean([row["inside_other"] for row in rows])),
-        "rows": rows,
-    }
+            rows.append({"kind": "simulated" if number < len(simulated) else "real", **row})
+    if not rows:
+        raise DataError("no frame has two labels of which one can be dropped")
+    figures = {**summary(rows), "rows": rows}
     for row in sorted(rows, key=lambda row: -row["inside_free"])[:10]:
         print(
             f"{row['frame']:32.32} {row['label']:>4}  inside free {row['inside_free']:.2%}  "
             f"measured free {row['measured_free']:.3%}"
         )
+    inside, measured = figures["inside_free"], figures["measured_free"]
     print(
-        f"{len(rows)} drops: inside called free {inside.mean():.2%} on average, {inside.max():.2%} at most; "
-        f"measured points called free {measured.mean():.3%}, {measured.max():.3%} at most"
+        f"{len(rows)} drops: inside called free {inside['mean']:.2%} on average, {inside['largest']:.2%} at "
+        f"most; measured points called free {measured['mean']:.3%}, {measured['largest']:.3%} at most"
     )
     write_json(figures, json)
+    if table is not None:
+        write_atomically(
+            table, with_provenance("What a map says of a thing whose mask is missing", markdown(rows))
+        )
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Mean and largest shares over rows of `judge`."""
+    shares = {key: np.array([row[key] for row in rows]) for key in ("inside_free", "measured_free")}
+    return {
+        "drops": len(rows),
+        **{key: {"mean": float(of.mean()), "largest": float(of.max())} for key, of in shares.items()},
+        "over_1_percent": int((shares["inside_free"] > 0.01).sum()),
+        "inside_other": float(np.mean([row["inside_other"] for row in rows])),
+    }
+
+
+def markdown(rows: list[dict[str, Any]]) -> str:
+    """Two tables: all drops of each kind, and the ten worst."""
+    lines = [
+        f"One label at a time is removed. Free: called empty with p(uncertain) < {SURE:g}.",
+        "",
+        "| frames | drops | inside free, mean | largest | drops over 1 % | measured free, mean | largest | "
+        "inside called other obstacle |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for kind in dict.fromkeys(row["kind"] for row in rows):
+        of = summary([row for row in rows if row["kind"] == kind])
+        inside, measured = of["inside_free"], of["measured_free"]
+        lines.append(
+            f"| {kind} | {of['drops']} | {inside['mean']:.2%} | {inside['largest']:.2%} | "
+            f"{of['over_1_percent']} | {measured['mean']:.3%} | {measured['largest']:.3%} | "
+            f"{of['inside_other']:.0%} |"
+        )
+    lines += [
+        "",
+        "The ten worst:",
+        "",
+        "| frame | label | inside free | measured free |",
+        "| --- | --- | --- | --- |",
+    ]
+    for row in sorted(rows, key=lambda row: -row["inside_free"])[:10]:
+        lines.append(
+            f"| {row['frame']} | {row['label']} | {row['inside_free']:.2%} | {row['measured_free']:.3%} |"
+        )
+    return "\n".join(lines)
 
 
 def judge(drop: Drop) -> dict[str, Any] | None:
@@ -148,9 +194,9 @@ def _simulated(scenes: Path, ycb: Path | None, limit: int) -> Iterator[Drop]:
 def _real(data: Path, limit: int) -> Iterator[Drop]:
     from reconstruction import reconstruct
     from reconstruction.solid import Solid
-    from tools.real_frames import load_real_frames
+    from tools.real_frames import load_clutter_frames, load_real_frames
 
-    for real in load_real_frames(data)[:limit]:
+    for real in [*load_real_frames(data), *load_clutter_frames(data)][:limit]:
         if real.frame.labels is None or len(_large(real.frame)) < 2:
             continue
         whole = {item.label: item for item in reconstruct(real.frame).objects}

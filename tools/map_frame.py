@@ -130,7 +130,7 @@ def map_frame(
 
 def print_summary(reconstruction: Reconstruction) -> None:
     """Objects, what was skipped, notes and stage timings, for people."""
-    from reconstruction.files.scene_json import object_notes
+    from reconstruction.files.trust import object_notes
 
     head = "uncertainty  watertight  labelled  measured  agreeing  support"
     print(f"{'label':>5}  {'name':28} {'size [mm]':>15}  {head}")

@@ -25,6 +25,9 @@ GRASPNET6 = "6dof_graspnet_demo"
 POSECNN = "posecnn_pytorch_demo"
 POSECNN_FRAMES = ("000000", "000002")
 GRASPNET = "graspnet_example"
+OSD = "osd"
+OSD_UNIT = 1e-4
+"""Metres a unit of depth in the frames of the Object Segmentation Database."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,17 @@ def load_real_frames(data: Path) -> list[RealFrame]:
     frames = [_single_object(data / GRASPNET6, name, entry) for name, entry in meta["frames"].items()]
     frames += [_clutter(data / POSECNN, name) for name in POSECNN_FRAMES]
     return [*frames, _unlabelled(data / GRASPNET)]
+
+
+def load_clutter_frames(data: Path) -> list[RealFrame]:
+    """The frames of the Object Segmentation Database below the same folder; none where it is absent."""
+    found = []
+    for path in sorted((data / OSD).glob("*.npz")):
+        with np.load(path) as stored:
+            depth = stored["depth"].astype(np.float32) * np.float32(OSD_UNIT)
+            frame = Frame.from_arrays(depth, stored["K"], stored["labels"])
+        found.append(RealFrame(f"{OSD}/{path.stem}", frame, {}))
+    return found
 
 
 def compare(real: RealFrame, result: Any, ycb: Path | None) -> list[dict[str, Any]]:

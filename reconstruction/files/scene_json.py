@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from mapping.plain_json import plain
 from mapping.threads import thread_count
 from perception.views.joint import JointObservation
+from reconstruction.files.trust import trust
 
 FORMAT = "contramap-result-1"
 OTHER_FOLDER = "objects/other"
@@ -29,12 +30,6 @@ PACKAGES = (
 
 if TYPE_CHECKING:
     from reconstruction.result import ReconstructedObject, Reconstruction
-
-
-LITTLE_MEASURED = 0.5
-"""An object less of whose mask is measured than this is named."""
-FOOT_HIDDEN = 0.05
-"""So is one that is seen from higher above its support on than this [m]."""
 
 
 def describe(reconstruction: Reconstruction, closed: Mapping[int, bool] | None = None) -> dict[str, Any]:
@@ -76,7 +71,6 @@ def _describe_object(
     item: ReconstructedObject, reconstruction: Reconstruction, closed: Mapping[int, bool]
 ) -> dict[str, Any]:
     place = f"objects/{object_folder(item.label, item.name)}"
-    seen = {o.label: o for o in reconstruction.observation.objects}.get(item.label)
     return {
         "label": item.label,
         "name": item.name,
@@ -88,16 +82,7 @@ def _describe_object(
         "watertight": closed.get(item.label, item.watertight),
         "vertices": len(item.mesh.vertices),
         "faces": len(item.mesh.faces),
-        "labelled_pixels": seen.labelled if seen else None,
-        "dropped_pixels": seen.dropped if seen else None,
-        "measured_pixels": len(seen.pixels) if seen else None,
-        "guessed_pixels": len(seen.guessed) if seen else None,
-        "support_height": seen.floor if seen and reconstruction.observation.support is not None else None,
-        "support_seen": bool(seen and seen.rests),
-        "notes": object_notes(item, reconstruction),
-        "agreement": reconstruction.agreement[item.label].agreement,
-        "early_rays": reconstruction.agreement[item.label].early_rays,
-        "agreement_within": reconstruction.agreement[item.label].tolerance,
+        **trust(item, reconstruction),
     }
 
 

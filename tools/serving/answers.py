@@ -20,7 +20,7 @@ KEPT = 8
 """Results kept for later questions, one a client, the latest."""
 FIELDS = {
     "ping": frozenset[str](),
-    "map": frozenset({"depth", "K", "labels", "rgb", "T_world_camera", "names", "seed"}),
+    "map": frozenset({"depth", "K", "labels", "rgb", "T_world_camera", "names", "seed", "agreement"}),
     "distance": frozenset({"points", "label"}),
 }
 """What each request may hold."""
@@ -70,11 +70,15 @@ class Answers:
         }
 
     def _map(self, client: bytes, message: dict[str, Any]) -> dict[str, Any]:
+        from reconstruction.files.trust import trust
         from reconstruction.scene import reconstruct
 
         seed = message.get("seed") or 0
         if type(seed) is not int or seed < 0:
             raise DataError(f"map: seed must be a whole number of 0 or more, got {seed!r}")
+        rays = message.get("agreement") or False
+        if type(rays) is not bool:
+            raise DataError(f"map: agreement must be true or false, got {rays!r}")
         result = reconstruct(_frame(message), self.config, seed)
         self._results[client] = result
         self._results.move_to_end(client)
@@ -84,7 +88,7 @@ class Answers:
             "frame": "world",
             "unit": "m",
             "T_world_table": result.T_world_table,
-            "objects": [_object(item) for item in result.objects],
+            "objects": [{**_object(item), "trust": trust(item, result, rays)} for item in result.objects],
             "other": None if result.other is None else _surface(result.other),
             "skipped": [{"label": s.label, "name": s.name, "reason": s.reason} for s in result.skipped],
             "notes": list(result.notes),

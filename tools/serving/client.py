@@ -43,7 +43,9 @@ class Client:
         return answer
 
     def map(self, depth, K, labels=None, T_world_camera=None, **more):
-        """depth (H, W) [m], K (3, 3), labels (H, W) -> objects with vertices [m], faces, uncertainty."""
+        """depth (H, W) [m], K (3, 3), labels (H, W) -> objects with vertices [m], faces, uncertainty, trust.
+
+        agreement=True: trust says how far each mesh agrees with the depth image, too (about 0.1 s more)."""
         return self.ask("map", depth=depth, K=K, labels=labels, T_world_camera=T_world_camera, **more)
 
     def distance(self, points, label=None):
