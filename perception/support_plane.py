@@ -29,6 +29,18 @@ CLUTTER_SHARE = 0.1
 """Share of all points standing on a plane that makes it a full table."""
 LEAST_PEAK = 0.65
 """Points within the threshold over those within twice of it: 1 on a plane, 0.5 on a wall cut across."""
+GREEDY = 0.4
+"""Masks that leave next to nothing of the table cover more of the image than this; smaller ones are of things
+on a table that gave no depth, such as a pane of glass, and no side of a thing is taken for it."""
+HOVERING = 0.05
+"""A plane on which the objects rest no better than this, if hidden feet are not allowed for, may be a wall
+seen head-on: it looks like a table seen from straight above."""
+CONTACT = 0.3
+"""A plane across it, on which they rest as well as this, is the table then ..."""
+ACROSS = 0.3
+"""... if the cosine between the two normals is below this ..."""
+UPRIGHT = 0.9
+"""... and it faces the image's top."""
 MINIMUM_CREDIT = 0.02
 """Least credit (share of points x how well the objects rest on it) of a convincing plane."""
 
@@ -47,8 +59,8 @@ def find_support_plane(
     else:
         labelled = labels.reshape(-1) > 0
         background, objects = np.flatnonzero(measured & ~labelled), np.flatnonzero(measured & labelled)
-        if background.size < config.plane_points // 4:  # the masks leave next to nothing of the table
-            background = np.flatnonzero(measured)
+        if background.size < config.plane_points // 4 and labelled.mean() > GREEDY:
+            background = np.flatnonzero(measured)  # the masks cover the table, too
     if background.size < config.minimum_pixels:
         return None
     around = flat[_thin(background, FIT_POINTS, rng)]
@@ -104,6 +116,7 @@ def _best_plane(
     rest = near[_thin(np.arange(len(near)), config.plane_points, rng)]
     total = len(rest)
     best: tuple[float, np.ndarray, float] | None = None
+    touched: tuple[float, np.ndarray, float] | None = None
     for _ in range(config.plane_candidates):
         if len(rest) < max(10, config.plane_minimum_share * total):
             break
@@ -127,7 +140,16 @@ def _best_plane(
             credit /= offset  # of a table and the floor beneath it, the nearer one is meant
         if best is None or credit > best[0]:
             best = (credit, normal, offset)
-    return None if best is None else (best[1], best[2])
+        contact = _resting(groups, normal, offset, config, hidden_feet=False) if groups else 0.0
+        if contact > CONTACT and _uprightness(normal) > UPRIGHT and (touched is None or contact > touched[0]):
+            touched = (contact, normal, offset)
+    if best is None:
+        return None
+    _, normal, offset = best
+    if touched is None or abs(float(touched[1] @ normal)) > ACROSS:
+        return normal, offset
+    hovering = _resting(groups, normal, offset, config, hidden_feet=False) < HOVERING
+    return touched[1:] if hovering else (normal, offset)
 
 
 def _ransac(
@@ -163,8 +185,17 @@ def _refine(
     return (normal, offset) if offset > 0 else (-normal, -offset)
 
 
-def _resting(groups: list[np.ndarray], normal: np.ndarray, offset: float, config: PerceptionConfig) -> float:
-    """How well the objects stand on the plane, in 0..1: above it, and with their lowest points near it."""
+def _resting(
+    groups: list[np.ndarray],
+    normal: np.ndarray,
+    offset: float,
+    config: PerceptionConfig,
+    hidden_feet: bool = True,
+) -> float:
+    """How well the objects stand on the plane, in 0..1: above it, and with their lowest points near it.
+
+    hidden_feet: allow for feet that nobody can see from straight above.
+    """
     scores = []
     for group in groups:
         height = group @ normal + offset
@@ -173,7 +204,8 @@ def _resting(groups: list[np.ndarray], normal: np.ndarray, offset: float, config
         middle = group.mean(0)
         steep = abs(float(middle @ normal)) / max(float(np.linalg.norm(middle)), 1e-9)
         # Seen from straight above, an object hides its own foot: a gap says nothing then.
-        rest = REST_LENGTH * (1 + HIDDEN_FOOT * max(0.0, steep - STEEP) / (1 - STEEP))
+        hidden = max(0.0, steep - STEEP) / (1 - STEEP) if hidden_feet else 0.0
+        rest = REST_LENGTH * (1 + HIDDEN_FOOT * hidden)
         scores.append(max(0.0, 2 * above - 1) * np.exp(-((gap / rest) ** 2)))
     return float(np.mean(scores))
 

@@ -17,6 +17,8 @@ from reconstruction.prior.evidence import hidden_labels
 from reconstruction.samples.obstacles import with_obstacles
 from reconstruction.samples.reach_down import may_lack_foot, reach_down
 
+BESIDE = 2
+"""Masks are known to this [px]."""
 BEFORE_GUESS = 0.7
 """Chance that the ray is free before a surface that was guessed, not measured."""
 
@@ -102,7 +104,29 @@ def _objects(
             if may_lack_foot(item, observation, space):
                 reach_down(observation, space, int(index), points, guess)
         return guess
-    return _shell(observation, config.shell, points)
+    guess = _shell(observation, config.shell, points)
+    beside = _beside_all_masks(observation, space, points)
+    guess[beside] = 0
+    guess[beside, 0] = 1
+    return guess
+
+
+def _beside_all_masks(observation: Observation, space: Space, points: np.ndarray) -> np.ndarray:
+    """Which points (N, 3) lie on rays that measured nothing, well beside the masks of all objects: (N,) bool.
+
+    Were an object there, its mask would say so, whatever the depth image lacks.
+    """
+    import cv2
+
+    bare = np.ones(observation.depth.size, np.uint8)
+    bare[np.isfinite(observation.depth.reshape(-1))] = 0
+    for item in observation.objects:
+        bare[item.silhouette] = 0
+        bare[item.pixels] = 0
+    size = 2 * BESIDE + 1
+    wide = cv2.erode(bare.reshape(observation.depth.shape), np.ones((size, size), np.uint8)).reshape(-1)
+    pixel = space.pixel_of(points)
+    return np.asarray((pixel >= 0) & (wide[pixel] > 0))
 
 
 def _shell(observation: Observation, shell: float, points: np.ndarray) -> np.ndarray:
