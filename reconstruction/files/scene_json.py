@@ -86,25 +86,6 @@ def _describe_object(
     }
 
 
-def object_notes(item: ReconstructedObject, reconstruction: Reconstruction) -> list[str]:
-    """What speaks against relying on an object's result: short phrases, none if nothing does."""
-    seen = {o.label: o for o in reconstruction.observation.objects}[item.label]
-    notes = []
-    if len(seen.pixels) < LITTLE_MEASURED * seen.labelled:
-        notes.append(f"only {len(seen.pixels) / seen.labelled:.0%} of its mask measured")
-    if reconstruction.observation.support is None:
-        notes.append("no support found")
-    elif not seen.rests:
-        notes.append("support not seen beside it")
-    elif seen.bounds[0][2] - seen.floor > FOOT_HIDDEN:
-        notes.append(f"seen from {1e3 * (seen.bounds[0][2] - seen.floor):.0f} mm above its support on")
-    if reconstruction.observation.at_border(seen):
-        notes.append("cut by the image's border")
-    if reconstruction.agreement[item.label].contradicts:
-        notes.append("contradicts the depth image")
-    return notes
-
-
 def _describe_other(reconstruction: Reconstruction) -> dict[str, Any] | None:
     other = reconstruction.other
     if other is None:
