@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from solids import reconstructed_tabletop
 
 from mapping import ContraMap, MapConfig, load_map
+from mapping.baselines.bayesian_hilbert import BayesianHilbertMap
+from mapping.baselines.deep_ensemble import DeepEnsemble
+from mapping.baselines.deep_map import DeepMap
+from mapping.baselines.dnn_gp import DnnGp
+from mapping.baselines.gaussian_process import GaussianProcess
+from mapping.baselines.mc_dropout import McDropout
+from mapping.baselines.sngp import Sngp
+from mapping.baselines.vprism import VPrism
 from mapping.errors import DataError
 
 
@@ -71,6 +82,27 @@ def test_blocks_of_a_lattice_need_rising_axes(fitted: ContraMap) -> None:
 def test_an_unfitted_map_says_so(ask: Callable[[ContraMap], object]) -> None:
     with pytest.raises(DataError, match="not fitted"):
         ask(ContraMap())
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        BayesianHilbertMap(),
+        DeepMap(),
+        GaussianProcess(),
+        McDropout(),
+        DeepEnsemble(),
+        DnnGp(),
+        Sngp(),
+        VPrism(),
+    ],
+    ids=lambda model: type(model).__name__,
+)
+def test_unfitted_baselines_say_so_and_can_still_be_copied(model: Any) -> None:
+    with pytest.raises(DataError, match=f"{type(model).__name__} is not fitted"):
+        model.predict_proba(np.zeros((2, 2)))
+    assert not hasattr(model, "weights_that_nobody_has")
+    assert type(copy.deepcopy(pickle.loads(pickle.dumps(model)))) is type(model)
 
 
 @pytest.mark.parametrize(

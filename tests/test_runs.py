@@ -203,30 +203,3 @@ def test_kept_results_need_their_keys(tmp_path: Path) -> None:
     assert read_kept(path, ("a",), b=2) == {"a": 1, "b": 2}
     assert read_kept(path, ("a",), b=3) is None
     assert read_kept(path, ("c",)) is None
-
-
-FORK = """
-import hashlib, os, sys, torch
-import numpy as np
-from conftest import make_tabletop
-from reconstruction import reconstruct
-torch.set_num_threads(2)
-frame = make_tabletop(size=(160, 120)).frame
-def digest():
-    objects = reconstruct(frame).objects
-    return hashlib.sha256(b"".join(np.asarray(o.mesh.vertices).tobytes() for o in objects)).hexdigest()
-print(digest(), flush=True)
-if os.fork() == 0:
-    print(digest(), flush=True)
-    os._exit(0)
-os.wait()
-"""
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
-def test_a_fork_after_a_reconstruction_gives_the_same_meshes() -> None:
-    answer = subprocess.run(
-        [sys.executable, "-c", FORK], env=ENVIRONMENT, capture_output=True, text=True, timeout=240
-    )
-    first, second = answer.stdout.split()
-    assert first == second

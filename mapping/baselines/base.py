@@ -7,10 +7,11 @@ from abc import ABC, abstractmethod
 import numpy as np
 from typing_extensions import Self
 
+from mapping.baselines.unfitted import SaysUnfitted
 from mapping.errors import DataError
 
 
-class UncertaintyClassifier(ABC):
+class UncertaintyClassifier(SaysUnfitted, ABC):
     """Points of R^d to probabilities of C classes, and one number that says how unsure the answer is.
 
     Subclasses give `fit` and `predict_proba`; those with an uncertainty of their own override `uncertainty`.

@@ -22,6 +22,7 @@ from scipy.special import expit
 from typing_extensions import Self
 
 from mapping.baselines.base import check_labelled_points
+from mapping.baselines.unfitted import SaysUnfitted
 from mapping.errors import DataError
 
 
@@ -41,7 +42,7 @@ class BayesianHilbertConfig:
     """Rows of dense features held at a time; bounds the memory, not the result."""
 
 
-class BayesianHilbertMap:
+class BayesianHilbertMap(SaysUnfitted):
     """Gaussian posterior over the weights of a binary kernel map, updated batch after batch."""
 
     def __init__(self, config: BayesianHilbertConfig | None = None) -> None:

@@ -14,6 +14,7 @@ import torch
 from torch import nn
 from typing_extensions import Self
 
+from mapping.baselines.unfitted import SaysUnfitted
 from mapping.config import FIT_CUTOFF
 from mapping.errors import ConfigError, DataError
 from mapping.kernels import PREDICT_CUTOFF
@@ -40,7 +41,7 @@ class DeepMapConfig:
     """Adam's step at the start; it falls linearly to 0."""
 
 
-class DeepMap:
+class DeepMap(SaysUnfitted):
     """Softmax network over kernel features; classes 0..C with the uncertain class last, as in ContraMap."""
 
     def __init__(self, config: DeepMapConfig | None = None) -> None:

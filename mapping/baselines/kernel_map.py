@@ -13,6 +13,7 @@ import torch
 from typing_extensions import Self
 
 from mapping.baselines.base import check_labelled_points
+from mapping.baselines.unfitted import SaysUnfitted
 from mapping.errors import DataError
 from mapping.lattice import LatticeEvaluator
 
@@ -27,7 +28,7 @@ class BatchSettings(Protocol):
     def batch(self) -> int: ...
 
 
-class GaussianKernelMap(ABC):
+class GaussianKernelMap(SaysUnfitted, ABC):
     """K classes whose weights w_k have Gaussian posteriors; w_k . phi(x) has a mean and a variance.
 
     hinges: (H, d) float32.
