@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from reconstruction.config import PipelineConfig, preset
     from reconstruction.files.result_folder import save_reconstruction
     from reconstruction.files.stored import load_result
+    from reconstruction.next_view import next_view
     from reconstruction.result import Reconstruction
     from reconstruction.scene import reconstruct
 
@@ -16,12 +17,21 @@ _HOME = {
     "PipelineConfig": "reconstruction.config",
     "Reconstruction": "reconstruction.result",
     "load_result": "reconstruction.files.stored",
+    "next_view": "reconstruction.next_view",
     "preset": "reconstruction.config",
     "reconstruct": "reconstruction.scene",
     "save_reconstruction": "reconstruction.files.result_folder",
 }
 
-__all__ = ["PipelineConfig", "Reconstruction", "load_result", "preset", "reconstruct", "save_reconstruction"]
+__all__ = [
+    "PipelineConfig",
+    "Reconstruction",
+    "load_result",
+    "next_view",
+    "preset",
+    "reconstruct",
+    "save_reconstruction",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -18,6 +18,7 @@ from perception.space import Region
 from perception.views.joint_space import JointSpace
 from perception.views.observing_together import observe_together
 from reconstruction import load_result, reconstruct
+from reconstruction.files import result_folder
 from reconstruction.files.scene_json import describe
 from reconstruction.result import Reconstruction
 from reconstruction.solid import Solid
@@ -204,8 +205,11 @@ def test_a_view_without_objects_is_said_and_left_out() -> None:
     assert any(note.startswith("view 2: left out") for note in joint.notes)
 
 
-def test_views_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_views_from_the_command_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """One map of all frames, whose kept result answers as the one in memory does."""
+    monkeypatch.setattr(result_folder, "draw_overview", lambda r, path, truth: path.write_bytes(b"none"))
     folders = []
     for number, frame in enumerate(views(5)[:2]):
         save_frame(frame, tmp_path / f"view{number}")

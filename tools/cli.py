@@ -13,6 +13,7 @@ from tools.demo import demo
 from tools.evaluation.command import evaluate
 from tools.exit_code import exit_code
 from tools.export import export
+from tools.look import look
 from tools.map_frame import map_frame
 from tools.occupancy.command import occupancy
 from tools.reproduce import commands as reproduced
@@ -46,6 +47,7 @@ COMMANDS: dict[str, Command] = {
     "demo": demo,
     "map": map_frame,
     "view": view,
+    "look": look,
     "occupancy": occupancy,
     "semantic": semantic,
     "export": export,

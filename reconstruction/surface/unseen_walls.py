@@ -81,6 +81,7 @@ def _unpassed(points: np.ndarray, edges: Edges | JointEdges, seen: np.ndarray) -
     """How far points (N, 3) [m] are behind what was measured (N,), as log odds; NaN where rays passed."""
     if isinstance(edges, JointEdges):
         passed = np.any([_passed(points, view, view.read(points), seen) for view in edges.views], axis=0)
+        passed |= edges.above_floor(points[:, 2]) < -GRAZED
         distance = edges.read(points).distance
     else:
         reading = edges.read(points)

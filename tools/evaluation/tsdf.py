@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from perception.camera import invert_rigid
 from perception.observation import Observation
+from perception.views.joint_space import each_view
 from tools.evaluation.fitted_map import FittedMap, View
 
 VOXEL = 0.005
@@ -30,16 +32,16 @@ class FittedTsdf(FittedMap):
 
     def __init__(self, view: View) -> None:
         observation = view.observation
+        views = [seen for seen, _ in each_view(observation, view.space)]
         self.samples = np.concatenate([item.points for item in observation.objects])
         lows, highs = (np.array(b) for b in zip(*(item.bounds for item in observation.objects)))
         lows, highs = lows - MARGIN, highs + MARGIN
         self.volumes = []
         for item, low, high in zip(observation.objects, lows, highs):
-            masked = np.zeros_like(observation.depth)
-            masked.reshape(-1)[item.pixels] = observation.depth.reshape(-1)[item.pixels]
-            self.volumes.append(DenseTsdf(observation, masked, low, high))
-        everything = np.nan_to_num(observation.depth)
-        self.scene = DenseTsdf(observation, everything, lows.min(0), highs.max(0))
+            masked = [_masked(seen, item.label) for seen in views]
+            self.volumes.append(DenseTsdf(views, masked, low, high))
+        everything = [np.nan_to_num(seen.depth) for seen in views]
+        self.scene = DenseTsdf(views, everything, lows.min(0), highs.max(0))
 
     def predict(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         objects = np.zeros((len(points), len(self.volumes)), np.float32)
@@ -56,11 +58,24 @@ class FittedTsdf(FittedMap):
         return probability, np.where(observed, (1 - nearest) / 2, 1).astype(np.float32)
 
 
+def _masked(observation: Observation, label: int) -> np.ndarray:
+    """Depth (H, W) [m] of one object in a view, 0 elsewhere."""
+    masked = np.zeros_like(observation.depth)
+    for item in observation.objects:
+        if item.label == label:
+            masked.reshape(-1)[item.pixels] = observation.depth.reshape(-1)[item.pixels]
+    return masked
+
+
 class DenseTsdf:
-    """A TSDF over a box in the table frame, from one depth image (H, W) [m] where 0 is missing (Open3D)."""
+    """A TSDF over a box in the table frame, from depth images (H, W) [m] a view, 0 is missing (Open3D)."""
 
     def __init__(
-        self, observation: Observation, depth: np.ndarray, low: np.ndarray, high: np.ndarray
+        self,
+        views: Sequence[Observation],
+        depths: Sequence[np.ndarray],
+        low: np.ndarray,
+        high: np.ndarray,
     ) -> None:
         import open3d
 
@@ -73,15 +88,16 @@ class DenseTsdf:
         first = np.floor(low / side).astype(np.int32)
         self.shape = np.ceil(high / side).astype(np.int32) - first
         blocks = np.stack(np.meshgrid(*(np.arange(n) for n in self.shape), indexing="ij"), -1).reshape(-1, 3)
-        grid.integrate(
-            core.Tensor.from_numpy(np.ascontiguousarray(blocks + first, np.int32)),
-            open3d.t.geometry.Image(np.ascontiguousarray(depth, np.float32)),
-            core.Tensor.from_numpy(observation.camera.K.copy()),
-            core.Tensor.from_numpy(invert_rigid(observation.T_table_camera)),
-            1.0,
-            FAR,
-            TRUNCATION,
-        )
+        for observation, depth in zip(views, depths):
+            grid.integrate(
+                core.Tensor.from_numpy(np.ascontiguousarray(blocks + first, np.int32)),
+                open3d.t.geometry.Image(np.ascontiguousarray(depth, np.float32)),
+                core.Tensor.from_numpy(observation.camera.K.copy()),
+                core.Tensor.from_numpy(invert_rigid(observation.T_table_camera)),
+                1.0,
+                FAR,
+                TRUNCATION,
+            )
         self.origin = first * side
         self.distance = np.zeros(self.shape * BLOCK, np.float32)
         self.weight = np.zeros(self.shape * BLOCK, np.float32)
