@@ -17,8 +17,8 @@ from reconstruction.config import FusionConfig, MeshConfig, PipelineConfig, pres
 from reconstruction.scene import reconstruct
 from reconstruction.surface.agreement import agreement_with_depth
 from reconstruction.surface.field import Field, window_of
-from reconstruction.surface.fusion import upsample
 from reconstruction.surface.meshing import extract_mesh
+from reconstruction.surface.neighbours import upsample
 from reconstruction.surface.seen_surface import FAR, SeenSurface
 from reconstruction.surface.smooth_depth import surface_planes
 from tools.evaluation.handles import handles_and_parts

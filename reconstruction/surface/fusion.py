@@ -11,6 +11,14 @@ import numpy as np
 from reconstruction.config import FusionConfig
 from reconstruction.surface.field import extent
 from reconstruction.surface.joint_surface import JointEdges
+from reconstruction.surface.neighbours import (
+    beside,
+    closed,
+    nodes_of_cells,
+    range_in_cells,
+    spread,
+    upsample,
+)
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
 from reconstruction.surface.seen_surface import Edges
 
@@ -54,19 +62,18 @@ def fuse(
     at_nodes, cap, unknown = _read(at_nodes, nodes, raised.shape, corner, spacing, edges, config)
     raised.reshape(-1)[nodes] = at_nodes
     # Holes of up to two cells in what nobody saw are the map's noise.
-    closed = _closed(raised).reshape(-1)[nodes]
-    at_nodes = np.where(unknown, closed, at_nodes)
+    at_nodes = np.where(unknown, closed(raised).reshape(-1)[nodes], at_nodes)
     raised.reshape(-1)[nodes] = at_nodes
     fused = raised.copy()
     fused.reshape(-1)[nodes] = np.minimum(at_nodes, cap)
     # The surface crosses a cell between nodes of both signs, or slips between those of cells near what was
     # seen; not where all nodes are far from it.
-    lowest, highest = _range_in_cells(fused)
+    lowest, highest = range_in_cells(fused)
     active = (lowest <= 0) & (highest > 0)
     active |= seen_cells & (lowest < NEAR) & (highest > -NEAR)
-    fine = _nodes_of_cells(active, config.refine)
+    fine = nodes_of_cells(active, config.refine)
     # Elsewhere only the sign counts: that of a node of the cell.
-    values = _spread(fused, config.refine)
+    values = spread(fused, config.refine)
     nodes = np.flatnonzero(fine)
     fine_spacing = spacing / config.refine
     odds = upsample(raised, config.refine).reshape(-1)[nodes]
@@ -110,26 +117,6 @@ def places(nodes: np.ndarray, shape: tuple[int, ...], corner: np.ndarray, spacin
     return places.T
 
 
-def upsample(values: np.ndarray, factor: int) -> np.ndarray:
-    """Linear interpolation of (nx, ny, nz) to factor times as many cells an axis."""
-    for axis in (2, 1, 0):  # along the first axis whole planes are added, so that comes last
-        shape = list(values.shape)
-        shape[axis] = factor * (shape[axis] - 1) + 1
-        fine = np.empty(shape, np.float32)
-        low, high, part = ([slice(None)] * 3 for _ in range(3))
-        part[axis] = slice(None, None, factor)
-        fine[tuple(part)] = values
-        low[axis], high[axis] = slice(None, -1), slice(1, None)
-        for step in range(1, factor):
-            share = np.float32(step / factor)
-            part[axis] = slice(step, None, factor)
-            place = fine[tuple(part)]
-            np.multiply(values[tuple(high)], share, out=place)
-            place += (1 - share) * values[tuple(low)]
-        values = fine
-    return values
-
-
 def _box_of(nodes: np.ndarray) -> tuple[tuple[slice, ...], np.ndarray]:
     """The part of a lattice that holds all of some nodes and, where there are any, two more on each side; and
     its first node (3,)."""
@@ -143,67 +130,6 @@ def _box_of(nodes: np.ndarray) -> tuple[tuple[slice, ...], np.ndarray]:
 def _cells_of(cells: np.ndarray, box: tuple[slice, ...]) -> np.ndarray:
     """The cells between the nodes of a part of a lattice."""
     return cells[tuple(slice(part.start, part.stop - 1) for part in box)]
-
-
-def beside(nodes: np.ndarray, corners: bool = True) -> np.ndarray:
-    """Nodes (nx, ny, nz) bool and all their neighbours; without corners, those across faces alone."""
-    wide = nodes.copy()
-    for axis in range(3):
-        ahead, behind = ([slice(None)] * 3 for _ in range(2))
-        ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
-        narrow = wide.copy() if corners else nodes
-        wide[tuple(ahead)] |= narrow[tuple(behind)]
-        wide[tuple(behind)] |= narrow[tuple(ahead)]
-    return wide
-
-
-def _range_in_cells(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least and greatest value at the nodes of each cell (nx - 1, ny - 1, nz - 1)."""
-    least = greatest = values
-    for axis in range(3):
-        low, high = ([slice(None)] * 3 for _ in range(2))
-        low[axis], high[axis] = slice(None, -1), slice(1, None)
-        least = np.minimum(least[tuple(low)], least[tuple(high)])
-        greatest = np.maximum(greatest[tuple(low)], greatest[tuple(high)])
-    return least, greatest
-
-
-def _spread(values: np.ndarray, factor: int) -> np.ndarray:
-    """Values (nx, ny, nz) on `factor` times as many cells an axis, each node's as far as the next node's."""
-    for axis in (2, 1, 0):  # along the first axis whole planes are copied, so that comes last
-        shape = list(values.shape)
-        shape[axis] = factor * (shape[axis] - 1) + 1
-        fine = np.empty(shape, values.dtype)
-        part, nodes = ([slice(None)] * 3 for _ in range(2))
-        for step in range(factor):
-            part[axis], nodes[axis] = slice(step, None, factor), slice(None, -1 if step else None)
-            fine[tuple(part)] = values[tuple(nodes)]
-        values = fine
-    return values
-
-
-def _nodes_of_cells(cells: np.ndarray, factor: int) -> np.ndarray:
-    """Fine nodes (factor n + 1 an axis) in and on coarse cells (n an axis)."""
-    fine = _spread(np.pad(cells, (0, 1)), factor)
-    for axis in range(3):
-        last, before = ([slice(None)] * 3 for _ in range(2))
-        last[axis], before[axis] = slice(factor, None, factor), slice(factor - 1, None, factor)
-        fine[tuple(last)] |= fine[tuple(before)]
-    return fine
-
-
-def _closed(values: np.ndarray) -> np.ndarray:
-    """Grey closing of (nx, ny, nz) by a cube of 3 nodes a side."""
-    for best in (np.maximum, np.minimum):
-        for axis in range(3):
-            # The axis becomes the first one: its neighbours are whole planes.
-            along = np.moveaxis(values, axis, 0)
-            pairs = best(along[1:], along[:-1])
-            of_three = np.empty_like(along)
-            of_three[0], of_three[-1] = pairs[0], pairs[-1]
-            best(pairs[1:], pairs[:-1], out=of_three[1:-1])
-            values = np.moveaxis(of_three, 0, axis)
-    return values
 
 
 def _cells_with(points: np.ndarray, corner: np.ndarray, spacing: float, shape: tuple[int, ...]) -> np.ndarray:

@@ -103,8 +103,8 @@ def closed_surface(
     if not len(faces):
         return None  # no more than a touch of the surface
     # Open3D counts the lattice's axes the other way round, which turns the triangles over.
-    vertices = surface.vertex.positions.numpy()[:, ::-1]
-    return apart(vertices) - 1 + first, faces[:, ::-1]
+    vertices = apart(surface.vertex.positions.numpy())[:, ::-1]
+    return vertices + (first - 1), faces[:, ::-1]
 
 
 def _occupied_box(log_odds: np.ndarray) -> tuple[slice, slice, slice] | None:
@@ -126,6 +126,6 @@ def _without_voids(log_odds: np.ndarray) -> np.ndarray:
             void[np.take(outside, end, axis)] = False
     filled = log_odds.copy()
     if void.any():
-        hollow = np.flatnonzero(void.take(outside))
-        filled.reshape(-1)[hollow] = np.maximum(-filled.reshape(-1)[hollow], 0.01)
+        hollow = void.take(outside)
+        filled[hollow] = np.maximum(-filled[hollow], 0.01)
     return filled

@@ -32,7 +32,9 @@ def nodes_of_seen_cells(
         inside &= (cell >= 0) & (cell < count - 1)
         flat = flat * count + cell
     # Thousands of points lie in hundreds of cells.
-    nodes = np.unique(flat[inside])[:, None] + np.ravel_multi_index(tuple(CORNERS.T), values.shape)
+    held = np.zeros(values.size, bool)
+    held[flat[inside]] = True
+    nodes = np.flatnonzero(held)[:, None] + np.ravel_multi_index(tuple(CORNERS.T), values.shape)
     at_nodes = values.reshape(-1)[nodes]
     likeliest = at_nodes.argmax(1)
     rows = np.arange(len(nodes))

@@ -55,7 +55,7 @@ class SeenSurface:
     owner: (H, W) int32 index of the object a pixel belongs to, BACKGROUND or NOT_MEASURED;
     depth: (H, W) float32 [m]; planes: (H * W, 4) float32, (n, c) of the plane n . x = c each pixel sees,
     n away from the camera, zero where no object was measured; noise: of the depth at 1 m [m]; floors: each
-    object is above its height [m], None where unknown.
+    object is above its height [m], None where unknown; boxes: rows and columns of each object.
     """
 
     camera: Camera
@@ -65,6 +65,7 @@ class SeenSurface:
     planes: np.ndarray
     noise: float
     floors: Sequence[float] | None
+    boxes: list[tuple[slice, slice]]
 
     @classmethod
     def of(
@@ -91,7 +92,8 @@ class SeenSurface:
         planes = np.zeros((depth.size, 4), np.float32)
         planes[pixels, :3] = own[:, :3] @ T[:3, :3].astype(np.float32)
         planes[pixels, 3] = own[:, 3] - own[:, :3] @ T[:3, 3].astype(np.float32)
-        return cls(camera, T, owner, depth, planes, noise, floors)
+        boxes = [_box(item.pixels, camera.width) for item in observation.objects]
+        return cls(camera, T, owner, depth, planes, noise, floors, boxes)
 
     @cached_property
     def projection(self) -> tuple[np.ndarray, np.ndarray]:
@@ -124,20 +126,20 @@ class Edges:
 
     @classmethod
     def of(cls, seen: SeenSurface, index: int) -> Edges:
-        own = seen.owner == index
-        if not own.any():  # an object that this view does not see: free space is all there is to read
+        if index < 0:  # an object that this view does not see: free space is all there is to read
             nowhere = np.full((1, 2), NOWHERE, np.float32)
             none = np.zeros((2, 3, 3), np.int32)
             return cls(seen, index, 0, 0, none, nowhere, np.zeros((1, 4), np.float32))
-        rows, columns = np.flatnonzero(own.any(1)), np.flatnonzero(own.any(0))
-        height, width = own.shape
-        top, left = max(rows[0] - BORDER, 0), max(columns[0] - BORDER, 0)
+        height, width = seen.owner.shape
+        rows, columns = seen.boxes[index]
+        top, left = max(rows.start - BORDER, 0), max(columns.start - BORDER, 0)
         part = (
-            slice(top, min(rows[-1] + BORDER + 1, height)),
-            slice(left, min(columns[-1] + BORDER + 1, width)),
+            slice(top, min(rows.stop + BORDER, height)),
+            slice(left, min(columns.stop + BORDER, width)),
         )
-        sides = _edge_pixels(own[part], seen.depth[part], seen.camera)
-        nearest = np.zeros((2, *(n + 2 for n in own[part].shape)), np.int32)
+        own = seen.owner[part] == index
+        sides = _edge_pixels(own, seen.depth[part], seen.camera)
+        nearest = np.zeros((2, *(n + 2 for n in own.shape)), np.int32)
         at = [np.full(1, -1, np.int64)]
         for side, found in zip(sides, nearest):
             number, pixels = _nearest(side)
@@ -249,21 +251,30 @@ def _rows(table: np.ndarray, which: np.ndarray) -> np.ndarray:
     return whole.take(which).view(np.float32).reshape(-1, table.shape[1]).T
 
 
+def _box(pixels: np.ndarray, width: int) -> tuple[slice, slice]:
+    """Rows and columns of flat indices (N,) in an image of some width."""
+    rows = pixels // width
+    columns = pixels - rows * width
+    return slice(int(rows.min()), int(rows.max()) + 1), slice(int(columns.min()), int(columns.max()) + 1)
+
+
 def _edge_pixels(own: np.ndarray, depth: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Pixels (h, w) bool on the near side of an edge of an object's image own (h, w), and on its far side."""
+    # A frame of pixels without depth: on the flat image a step to a neighbour is one shift.
+    framed = np.pad(depth, 1, constant_values=np.nan)
+    shape, depth, own = framed.shape, framed.reshape(-1), np.pad(own, 1).reshape(-1)
     jump = depth_jump(depth, camera, PerceptionConfig())
     near, far = np.zeros_like(own), np.zeros_like(own)
-    height, width = own.shape
-    for dv, du in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        a = slice(0, height - dv), slice(max(0, -du), width - max(0, du))
-        b = slice(dv, height), slice(max(0, du), width + min(0, du))
-        for one, other in ((a, b), (b, a)):
+    for step in (1, shape[1], shape[1] + 1, shape[1] - 1):
+        ahead, back = slice(step, None), slice(None, -step)
+        for one, other in ((back, ahead), (ahead, back)):
             limit = np.where(own[other], jump[one], np.float32(SAME_DEPTH))
             with np.errstate(invalid="ignore"):
                 edge = own[one] & (depth[other] - depth[one] > limit)
             near[one] |= edge
             far[other] |= edge
-    return near, far
+    inner = (slice(1, -1), slice(1, -1))
+    return near.reshape(shape)[inner], far.reshape(shape)[inner]
 
 
 def _nearest(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,8 +9,9 @@ import numpy as np
 from scipy import ndimage
 
 from reconstruction.surface.field import OUTSIDE, extent
-from reconstruction.surface.fusion import PER_METRE, beside, places
+from reconstruction.surface.fusion import PER_METRE, places
 from reconstruction.surface.joint_surface import JointEdges
+from reconstruction.surface.neighbours import beside
 from reconstruction.surface.seen_surface import FAR, Edges, Reading
 from reconstruction.surface.tunnels import membranes
 

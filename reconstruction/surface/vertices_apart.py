@@ -23,13 +23,12 @@ def off_the_surface(values: np.ndarray) -> np.ndarray:
 def apart(vertices: np.ndarray) -> np.ndarray:
     """Vertices (V, 3) in lattice coordinates, moved along their edges so that none is nearer to a node than
     LEAST_GAP."""
-    vertices = vertices.astype(np.float64)
     node = np.rint(vertices)
     offset = vertices - node
     # On an edge one coordinate lies between nodes; vertices inside of cells have three that do.
-    near = np.ones(len(vertices), bool)
-    for along in offset.T:
-        near &= np.abs(along) < LEAST_GAP
+    x, y, z = np.abs(offset).T
+    near = (x < LEAST_GAP) & (y < LEAST_GAP) & (z < LEAST_GAP)
     node, offset = node[near], offset[near]
+    vertices = vertices.astype(np.float64)
     vertices[near] = np.where(offset != 0, node + np.copysign(LEAST_GAP, offset), vertices[near])
     return vertices
