@@ -96,7 +96,7 @@ def observe(frame: Frame, config: PerceptionConfig | None = None, seed: int = 0)
         own = transform(T_table_camera, flat[pixels])
         rays = camera.rays.reshape(-1, 3)[guessed]
         places = transform(T_table_camera, rays * guess.reshape(-1)[guessed, None])
-        stray = _astray(own, places)
+        stray = _astray(own, places) if len(places) else np.zeros(0, bool)
         guess.reshape(-1)[guessed[stray]] = np.nan
         objects.append(
             ObservedObject(

@@ -61,7 +61,12 @@ def _inside_outline(own: np.ndarray, pixels: np.ndarray, shape: tuple[int, ...])
     """Which pixels lie inside the convex outline of an object's own pixels, all as flat indices."""
     import cv2
 
-    rows, columns = np.divmod(own, shape[1])
+    own = np.sort(own)
+    rows = own // shape[1]
+    # The first and the last pixel of every row say as much of the outline as all of them.
+    starts = np.flatnonzero(np.diff(rows, prepend=-1))
+    ends = np.append(starts[1:], len(own)) - 1
+    rows, columns = np.divmod(own[np.concatenate([starts, ends])], shape[1])
     top, left = rows.min(), columns.min()
     mask = np.zeros((rows.max() - top + 1, columns.max() - left + 1), np.uint8)
     hull = cv2.convexHull(np.stack([columns - left, rows - top], 1).astype(np.int32))

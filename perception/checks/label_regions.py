@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from perception.grouping import group_by_label
+from perception.quantiles import quantiles
 
 ALL, SAMPLE = 12_000, 1_000
 """Points looked at of all labels together, and of each label."""
@@ -55,12 +56,17 @@ def label_regions(points: np.ndarray, labels: np.ndarray) -> list[LabelRegion]:
 
 def _region(label: int, own: np.ndarray) -> LabelRegion:
     distance = float(np.median(own[:, 2]))
-    low, high = np.quantile(own, TRIM, axis=0)
+    low, high = _trimmed(own)
     inner = own[((own >= low) & (own <= high)).all(1)]
     if len(inner) < 10:
         inner = own
     centre = inner.mean(0)
     axes = np.linalg.eigh(np.cov((inner - centre).T))[1]
-    a, b = np.quantile((own - centre) @ axes, TRIM, axis=0)
+    a, b = _trimmed((own - centre) @ axes)
     order = np.argsort(a - b)
     return LabelRegion(label, own, distance, (b - a)[order], centre, axes[:, 0])
+
+
+def _trimmed(points: np.ndarray) -> np.ndarray:
+    """Least and greatest coordinates (2, 3) of points (N, 3), but for the share that is trimmed."""
+    return np.stack([quantiles(along, *TRIM) for along in points.T], axis=1)

@@ -36,17 +36,22 @@ LEAK = 0.35
 
 def in_parts(region: LabelRegion) -> bool:
     """Whether a label's points, thinned, fall into parts that lie far from each other: a quick first look."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
+    from scipy.spatial.distance import cdist
 
     if region.sides[0] < LEAST_GAP:
         return False
     points = region.points[:: 1 + len(region.points) // QUICK_POINTS]
-    pairs = cKDTree(points).query_pairs(QUICK_GAP * LEAST_GAP, output_type="ndarray")
-    graph = coo_matrix((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(points),) * 2)
-    size = np.bincount(connected_components(graph, directed=False)[1])
-    return bool((size > QUICK_SHARE * size.max()).sum() > 1)
+    beside = cdist(points, points, "sqeuclidean") <= (QUICK_GAP * LEAST_GAP) ** 2
+    left, sizes = np.ones(len(points), bool), []
+    while left.any():
+        part = np.zeros(len(points), bool)
+        new = np.flatnonzero(left)[:1]
+        while len(new):
+            part[new] = True
+            new = np.flatnonzero(beside[new].any(0) & ~part)
+        left &= ~part
+        sizes.append(int(part.sum()))
+    return sum(size > QUICK_SHARE * max(sizes) for size in sizes) > 1
 
 
 def split_things(
