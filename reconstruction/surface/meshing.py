@@ -12,7 +12,7 @@ from reconstruction.surface.fusion import fuse
 from reconstruction.surface.joint_surface import JointSurface
 from reconstruction.surface.parts import parts_to_keep
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
-from reconstruction.surface.seen_surface import Edges, SeenSurface
+from reconstruction.surface.seen_surface import SeenSurface
 from reconstruction.surface.unseen_walls import has_tunnel, with_unseen_walls
 from reconstruction.surface.vertices_apart import apart, off_the_surface
 
@@ -57,8 +57,7 @@ def extract_mesh(
     found = closed_surface(log_odds, config.smallest_part, cells)
     if found is None:
         return None
-    # Several views leave few tunnels that no ray passed.
-    if isinstance(edges, Edges) and seen is not None and config.fusion.unseen_walls and has_tunnel(*found):
+    if edges is not None and seen is not None and config.fusion.unseen_walls and has_tunnel(*found):
         first = corner + field.spacing * start
         walled = with_unseen_walls(log_odds, first, spacing, edges, seen)
         found = closed_surface(walled, config.smallest_part, cells) or found
