@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 MARK = "CONTRAMAP_KILLING"
 """Set in the environment of this program, so that whatever it starts is found again in /proc."""
@@ -164,9 +165,11 @@ def kill_all(target: Target, count: int, rng: np.random.Generator, but: set[int]
     target.start_over()
     figures.seconds = longest = run_through()
     target.start_over()
+    bar = tqdm(total=count, desc=target.name, mininterval=5)
     number = 0
     while figures.kills < count:
         number += 1
+        bar.update(figures.kills - bar.n)
         which = SIGNALS[int(rng.integers(len(SIGNALS)))]
         process = start(target.arguments(number), log)
         if ended(process, float(rng.uniform(0, longest))) is not None:
@@ -184,6 +187,7 @@ def kill_all(target: Target, count: int, rng: np.random.Generator, but: set[int]
         if target.whole() and not target.name.startswith("overwrite"):
             target.start_over()
         figures.left_hidden += bool(hidden(target.root))
+    bar.close()
     run_through()
     return figures
 

@@ -143,6 +143,40 @@ def test_bad_answers_leave_nothing_and_the_right_archive_is_taken_later(tmp_path
     assert sorted(entry.name for entry in (tmp_path / "ycb").iterdir()) == [MODEL, fetch.CHECKSUM_FILE]
 
 
+@pytest.mark.parametrize(
+    ("limit", "value", "said"), [("LONGEST_S", 0.2, "not done"), ("LARGEST_ARCHIVE", 50, "never ends")]
+)
+def test_servers_that_trickle_or_never_end(
+    tmp_path: Path, monkeypatch, limit: str, value: float, said: str
+) -> None:
+    """A byte at a time, without a length: given up after a while, or when it is more than any archive."""
+    import socketserver
+    import threading
+    import time
+
+    class Handler(socketserver.BaseRequestHandler):
+        def handle(self) -> None:
+            self.request.recv(4096)
+            try:
+                self.request.sendall(b"HTTP/1.0 200 OK\r\n\r\n")
+                for _ in range(200):
+                    self.request.sendall(b"x")
+                    time.sleep(0.01)
+            except OSError:
+                return
+
+    monkeypatch.setattr(fetch, limit, value)
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Handler) as server:
+        server.daemon_threads = True
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        url = f"http://127.0.0.1:{server.server_address[1]}"
+        with pytest.raises(DataError, match=said):
+            fetch.fetch_ycb(tmp_path / "ycb", [MODEL], url, progress=False)
+        server.shutdown()
+    parts = [entry.name for entry in (tmp_path / "ycb").iterdir()]
+    assert len(parts) == (limit == "LONGEST_S")  # gone on with later; what is refused is not kept
+
+
 def test_small_parts_that_were_seen_are_delivered() -> None:
     parts = np.zeros((40, 20, 20), int)
     parts[2:14, 2:14, 2:14] = 1

@@ -159,7 +159,8 @@ class ResumingDownloader:
                     disable=not self.progress,
                 ) as bar,
             ):
-                while chunk := answer.read(1 << 16):
+                # What has come, not a whole piece: a server that trickles must not outrun the clock.
+                while chunk := answer.read1(1 << 16):
                     stream.write(chunk)
                     bar.update(len(chunk))
                     if time.monotonic() > self._end:
@@ -168,6 +169,7 @@ class ResumingDownloader:
                             "go on from where it stopped"
                         )
                     if stream.tell() > LARGEST_ARCHIVE:
+                        part.unlink()  # what is refused is not kept
                         raise DataError(f"{url}: never ends; is it the right address?")
         if total is not None and part.stat().st_size < total:
             raise ConnectionError(f"connection cut at {part.stat().st_size} of {total} bytes")
