@@ -366,6 +366,11 @@ def of_fetch(work: Path, but: set[int]) -> Target:
     return Target("fetch", arguments, whole, start_over, root)
 
 
+def draw_nothing(reconstruction: Any, path: Path, truth: Any) -> None:
+    """In place of the overview."""
+    path.write_bytes(bytes(50_000))
+
+
 def main() -> None:
     if MARK not in os.environ:  # /proc shows the environment that a process was started with
         mark = f"{os.getpid()}-{time.time_ns()}"
@@ -373,12 +378,16 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("work", type=Path)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--pictures", action="store_true", help="draw result folders' pictures as well")
     parser.add_argument("--counts", nargs="*", default=[f"{name}={n}" for name, n in COUNTS.items()])
     given = parser.parse_args()
     counts = {name: int(n) for name, n in (text.split("=") for text in given.counts)}
-    import reconstruction.files.result_folder  # noqa: F401
+    import reconstruction.files.result_folder
     import tools.cli  # noqa: F401
 
+    if not given.pictures:
+        # Drawing takes most of the time of `map` and writes one file like the others.
+        reconstruction.files.result_folder.draw_overview = draw_nothing
     given.work.mkdir(parents=True)
     temporary = given.work / "tmp"
     temporary.mkdir()
