@@ -393,7 +393,8 @@ def main() -> None:
     temporary.mkdir()
     os.environ["TMPDIR"] = str(temporary)
     os.environ["RAY_TMPDIR"] = tempfile.mkdtemp(prefix="ray", dir="/tmp")  # paths of sockets must be short
-    os.environ["RAY_worker_niceness"] = "0"  # they would wait for everything else on a busy machine
+    # Else its workers wait for everything else on a busy machine.
+    os.environ["RAY_worker_niceness"] = "0"  # noqa: SIM112
     but = {os.getpid()}
     found: dict[str, Any] = {}
     for name, count in counts.items():
