@@ -62,7 +62,7 @@ def main(
         scenes: Scenes with truth, as `contramap scenes` makes them.
         real: Published real frames; the inside of an object is that of its own mesh from the whole frame.
         ycb: Folder of YCB scans, for scenes made of them.
-        limit: Frames looked at, at most.
+        limit: Frames of each kind looked at, at most.
         json: Also write the figures to this file.
         table: Also write them as a markdown table to this file.
     """
@@ -196,9 +196,9 @@ def _real(data: Path, limit: int) -> Iterator[Drop]:
     from reconstruction.solid import Solid
     from tools.real_frames import load_clutter_frames, load_real_frames
 
-    for real in [*load_real_frames(data), *load_clutter_frames(data)][:limit]:
-        if real.frame.labels is None or len(_large(real.frame)) < 2:
-            continue
+    frames = [*load_real_frames(data), *load_clutter_frames(data)]
+    several = [real for real in frames if real.frame.labels is not None and len(_large(real.frame)) > 1]
+    for real in several[:limit]:
         whole = {item.label: item for item in reconstruct(real.frame).objects}
         for label in _large(real.frame):
             if label in whole:
