@@ -48,9 +48,23 @@ def open_space(scope: Scope) -> OpenSpace:
     near = lattice_near_points(scope.seen, config.near_distance, config.near_spacing)
     near = jittered(near, config.near_spacing, scope.rng)
     is_empty, is_hidden = scope.classify(near)
-    hidden = np.concatenate([hidden, near[is_hidden]])
+    hidden = np.concatenate([hidden, near[is_hidden], _beyond_border(scope)])
     hidden = hidden[~_within_wall(scope, hidden)]
     return OpenSpace(free, hidden, np.concatenate([free, near[is_empty]]))
+
+
+def _beyond_border(scope: Scope) -> np.ndarray:
+    """Samples (M, 3) outside the image around objects that its border cuts: as dense as near seen surfaces,
+    for nothing but samples says what goes on there."""
+    config = scope.config
+    parts = [np.empty((0, 3), np.float32)]
+    for item in scope.items:
+        if scope.observation.at_border(item):
+            low, high = item.bounds
+            low = np.maximum(low - config.unknown_distance, [-np.inf, -np.inf, scope.floor])
+            points = jittered_lattice(low, high + config.unknown_distance, config.near_spacing, scope.rng)
+            parts.append(points[(scope.space.pixel_of(points) < 0) & (points[:, 2] > low[2])])
+    return np.concatenate(parts)
 
 
 def below_support(scope: Scope) -> np.ndarray:
@@ -85,13 +99,18 @@ def feet(scope: Scope) -> np.ndarray:
 
 
 def _under_hovering(scope: Scope, points: np.ndarray) -> np.ndarray:
-    """Which points (N, 3) on the support lie under an object whose visible part ends high above it."""
+    """Which points (N, 3) on the support lie under an object whose visible part ends high above it, or beyond
+    the image's border that cuts one."""
     under = np.zeros(len(points), bool)
     for item in scope.items:
         low, high = item.bounds
         if low[2] - scope.floor > scope.config.foot_distance:
             reach = scope.config.foot_distance
             under |= ((points[:, :2] > low[:2] - reach) & (points[:, :2] < high[:2] + reach)).all(1)
+        if scope.observation.at_border(item):
+            reach = scope.config.unknown_distance
+            beside = ((points[:, :2] > low[:2] - reach) & (points[:, :2] < high[:2] + reach)).all(1)
+            under |= beside & (scope.space.pixel_of(points) < 0)
     return under
 
 

@@ -118,10 +118,8 @@ class _Drawn:
         # The thin shell is a rule of thumb: nothing it says of hidden space is beyond doubt.
         rules, hidden = config.labels, self.around.hidden
         sure = rules.least_uncertain if config.prior == "learned" else rules.most_uncertain / 2
-        outside = self.scope.space.pixel_of(hidden) < 0
-        guessed = labels.hidden(rules, at_hidden, sure)
-        guessed[outside] = labels.outside(rules, at_hidden[outside])
-        columns = hidden[self._columns(hidden, at_hidden) | outside & (at_hidden[:, 1:].max(1) > COLUMN)]
+        guessed, likely = self._guessed(hidden, at_hidden, sure)
+        columns = hidden[likely]
         if config.noise != "occluded":
             scope = self.scope
             near, box = config.noise == "near", (scope.low, scope.high)
@@ -137,16 +135,19 @@ class _Drawn:
             soft.append((surface.before, labels.pair(config.labels, surface.owner * 0, unsure, count)))
             soft.append((surface.wall, labels.wall(config.labels, surface.owner, 1 - fill, count)))
         # Nothing is seen of a foot that hangs in the air: the empty samples under it need a match.
-        standing = self._columns(self._over_foot, at_foot)
-        soft.append((self._over_foot[standing], labels.hidden(config.labels, at_foot[standing])))
+        over, standing = self._guessed(self._over_foot, at_foot, sure)
+        soft.append((self._over_foot[standing], over[standing]))
         thin = surface.inside[(fill < config.thin) | surface.flat]
         return soft, thin, columns
 
-    def _columns(self, points: np.ndarray, guess: np.ndarray) -> np.ndarray:
-        """Which hidden samples (N, 3) are likely, by their guess (N, K+1), of an object whose visible part
-        ends high above its support and them: (N,) bool."""
-        kept = np.zeros(len(points), bool)
+    def _guessed(self, points: np.ndarray, guess: np.ndarray, sure: float) -> tuple[np.ndarray, np.ndarray]:
+        """Labels of hidden samples (N, 3) by their guess (N, K+1), and which (N,) bool are likely of an object
+        whose visible part ends high above its support and them, or outside the image."""
+        outside = self.scope.space.pixel_of(points) < 0
+        found = labels.hidden(self.scope.config.labels, guess, sure)
+        found[outside] = labels.outside(self.scope.config.labels, guess[outside])
+        likely = outside & (guess[:, 1:].max(1, initial=0) > COLUMN)
         for item, own in zip(self.scope.items, self.scope.classes):
             if self.scope.supported and item.bounds[0][2] - item.floor > FOOT_GAP:
-                kept |= (guess[:, own] > COLUMN) & (points[:, 2] < item.bounds[0][2])
-        return kept
+                likely |= (guess[:, own] > COLUMN) & (points[:, 2] < item.bounds[0][2])
+        return found, likely
