@@ -141,7 +141,7 @@ class _Drawn:
         return soft, thin, columns
 
     def _guessed(self, points: np.ndarray, guess: np.ndarray, sure: float) -> tuple[np.ndarray, np.ndarray]:
-        """Labels of hidden samples (N, 3) by their guess (N, K+1), and which (N,) bool are likely of an object
+        """Labels of hidden samples (N, 3) by their guess (N, K+1); and which (N,) are likely of an object
         whose visible part ends high above its support and them, or outside the image."""
         outside = self.scope.space.pixel_of(points) < 0
         found = labels.hidden(self.scope.config.labels, guess, sure)
