@@ -11,8 +11,9 @@ import errno
 import os
 import shutil
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 from mapping.errors import ConfigError, DataError
@@ -77,6 +78,12 @@ def temporary_folder(path: Path) -> Iterator[Path]:
     finally:
         shutil.rmtree(partial, ignore_errors=True)
         release(lock)
+
+
+def scratch_folder(kind: str) -> AbstractContextManager[Path]:
+    """A temporary folder of the system's, for files that other programs read; what a killed run left of the
+    same kind is removed."""
+    return temporary_folder(Path(tempfile.gettempdir()) / f"contramap_{kind}")
 
 
 def can_be_renamed(folder: Path) -> bool:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -15,6 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mapping.errors import ContraMapError
+from mapping.folders import scratch_folder
 from sim_scenes.convex_parts import collision_file, write_parts
 from sim_scenes.objects.object_model import ObjectModel
 
@@ -69,7 +69,8 @@ class Tabletop:
         self._client = pybullet.connect(pybullet.DIRECT)
         if self._client < 0:
             raise ContraMapError("pybullet could not start a physics world (too many open ones?)")
-        self._scratch = tempfile.TemporaryDirectory()
+        self._scratch = ExitStack()
+        self._folder = self._scratch.enter_context(scratch_folder("tabletop"))
         self._bodies: dict[int, ObjectModel] = {}
         bullet, client = self._bullet, self._client
         bullet.setGravity(0, 0, -9.81, physicsClientId=client)
@@ -91,7 +92,7 @@ class Tabletop:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._bullet.disconnect(self._client)
-        self._scratch.cleanup()
+        self._scratch.close()
 
     def drop(self, models: Sequence[ObjectModel], rng: np.random.Generator) -> None:
         """Let the models fall one after another at random places and in random orientations, then settle."""
@@ -167,7 +168,7 @@ class Tabletop:
     def _collision_file(self, model: ObjectModel) -> Path:
         if not model.parts:
             return collision_file(model)
-        path = Path(self._scratch.name) / f"{len(self._bodies)}.obj"
+        path = self._folder / f"{len(self._bodies)}.obj"
         write_parts(model, model.parts, path)
         return path
 

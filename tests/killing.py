@@ -29,8 +29,9 @@ from tqdm import tqdm
 MARK = "CONTRAMAP_KILLING"
 """Set in the environment of this program, so that whatever it starts is found again in /proc."""
 SIGNALS = (signal.SIGKILL, signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
-PATIENCE_S = 30.0
-"""Seconds that a command is given to end after a signal other than SIGKILL, and its processes after it."""
+PATIENCE_S = 120.0
+"""Seconds that a command is given to end after a signal other than SIGKILL, and its processes after it; the
+agents of Ray look for their raylet every few seconds, and less often on a busy machine."""
 COUNTS = {"map": 80, "overwrite": 60, "scenes": 15, "cutting": 5, "evaluate": 20, "ray": 5, "fetch": 15}
 
 
@@ -415,7 +416,7 @@ def main() -> None:
         os.kill(process, signal.SIGKILL)
         os.waitpid(process, 0)
     shutil.rmtree(os.environ["RAY_TMPDIR"])  # Ray keeps its logs, after undisturbed runs as well
-    found["temporary"] = sorted(path.name for path in temporary.iterdir())
+    found["temporary"] = sorted(path.name for path in temporary.iterdir())  # after the last, undisturbed run
     print(json.dumps(found))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -123,6 +122,6 @@ def test_objects_that_fall_off_are_taken_away() -> None:
 def test_scratch_files_are_cleaned_up() -> None:
     with Tabletop() as table:
         table.drop([builtin.make("can", np.random.default_rng(0))], np.random.default_rng(0))
-        folder = Path(table._scratch.name)
+        folder = table._folder
         assert folder.is_dir()
     assert not folder.exists()

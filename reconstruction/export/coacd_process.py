@@ -7,12 +7,13 @@ import os
 import select
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
+
+from mapping.folders import scratch_folder
 
 WORKER = Path(__file__).with_name("coacd_worker.py")
 
@@ -25,8 +26,8 @@ class CoacdProcess:
 
     def cut(self, mesh: trimesh.Trimesh, settings: dict[str, Any], limit_s: float) -> list[np.ndarray]:
         """Vertices (N, 3) [m] of each convex part; [] when it took too long or failed."""
-        with tempfile.TemporaryDirectory() as folder:
-            given, found = Path(folder) / "mesh.npz", Path(folder) / "parts.npz"
+        with scratch_folder("parts") as folder:
+            given, found = folder / "mesh.npz", folder / "parts.npz"
             np.savez(given, vertices=np.asarray(mesh.vertices), faces=np.asarray(mesh.faces))
             job = {"given": str(given), "found": str(found), "settings": settings}
             if not self._answered(json.dumps(job), limit_s) or not found.is_file():

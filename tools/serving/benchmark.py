@@ -12,6 +12,7 @@ import tyro
 from mapping.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
+    from perception.frame import Frame as LoadedFrame
     from tools.serving.trial import Frame, Service
 
 MAX_MB = 16.0
@@ -25,6 +26,7 @@ ROWS = 10
 def serve_benchmark(
     *,
     frame: Path,
+    many: Annotated[Path | None, tyro.conf.arg(metavar="FRAME")] = None,
     frames: int = 1000,
     repeat: int = 15,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
@@ -36,8 +38,9 @@ def serve_benchmark(
     Example: contramap benchmark serve --frame FRAME --out docs/results/serve.md
 
     Args:
-        frame: Frame folder or .npz file.
-        frames: Small frames sent while its memory is watched.
+        frame: Frame folder or .npz file that is timed.
+        many: The frame that is sent again and again; by default the first one, thinned out.
+        frames: Times that it is sent while its memory is watched.
         repeat: Frames of full size that are timed.
         out: Also write the tables to this Markdown file.
         json: Also write the figures to this file.
@@ -50,15 +53,11 @@ def serve_benchmark(
 
     if frames < ROWS or repeat < 1:
         raise ConfigError(f"--frames must be at least {ROWS} and --repeat 1, got {frames} and {repeat}")
-    loaded = load_frame(frame)
-    fields: Frame = {
-        "depth": loaded.depth,
-        "K": loaded.camera.K,
-        "T_world_camera": loaded.camera.T_world_camera,
-    }
-    if loaded.labels is not None:
-        fields["labels"] = loaded.labels
-    small = _thinned(fields, max(1, loaded.camera.width // SMALL_WIDTH))
+    fields = _fields(load_frame(frame))
+    if many is None:
+        small = _thinned(fields, max(1, fields["depth"].shape[1] // SMALL_WIDTH))
+    else:
+        small = _fields(load_frame(many))
     with running_service(MAX_MB) as service:
         figures = {"latency": _latency(service, fields, small, repeat), **_endurance(service, small, frames)}
     tables = _tables(figures)
@@ -66,6 +65,13 @@ def serve_benchmark(
     write_json(figures, json)
     if out is not None:
         write_atomically(out, with_provenance("The service", tables))
+
+
+def _fields(loaded: LoadedFrame) -> Frame:
+    """A frame as a `map` request has it."""
+    camera = loaded.camera
+    fields = {"depth": loaded.depth, "K": camera.K, "T_world_camera": camera.T_world_camera}
+    return fields if loaded.labels is None else {**fields, "labels": loaded.labels}
 
 
 def _latency(service: Service, fields: Frame, small: Frame, repeat: int) -> list[dict[str, float]]:
