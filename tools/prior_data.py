@@ -21,6 +21,7 @@ from reconstruction.prior.evidence import RayLookup
 from reconstruction.prior.features import LATTICE, ObjectBox, RayEvidence, channels
 from reconstruction.prior.footprint import Footprint
 from reconstruction.prior.occlusion_prior import lattice_coordinates, point_channels
+from reconstruction.prior.revolution import Revolution
 from sim_scenes.training.scenes import TrainingScene, inside, make_training_scene
 from sim_scenes.training.shapes import TrainingShape
 
@@ -34,6 +35,8 @@ REACH = 0.15
 """Further behind: up to this far [m], or farther for large objects:"""
 REACH_SHARE = 0.6
 """up to this share of the side of the object's box."""
+PART = 100
+"""Scenes a file of kept examples holds."""
 LEAST_BEHIND = 0.0005
 """Points must lie this far behind the first surface [m]."""
 
@@ -53,6 +56,7 @@ class Examples:
     point_inside: np.ndarray  # (B, Q) float32 [m]
     plan_distance: np.ndarray  # (B, Q) float16 [m], as Footprint.at gives it
     plan_above: np.ndarray  # (B, Q) float16 [m], likewise
+    turned: np.ndarray  # (B, Q, R) float16, as Revolution.channels gives them
     truth: np.ndarray  # (B, Q) bool
     family: np.ndarray  # (B,) str
 
@@ -80,7 +84,8 @@ class Examples:
             of_points = RayEvidence(self.point_behind[row], self.point_seen[row], self.point_inside[row])
             plan = self.plan_distance[row].astype(np.float32), self.plan_above[row].astype(np.float32)
             scalars = self.scalars[row][:, None]
-            points.append(point_channels(self.local[row], of_points, scalars, *plan).T)
+            turned = self.turned[row].T.astype(np.float32)
+            points.append(point_channels(self.local[row], of_points, scalars, *plan, turned).T)
         return self.local[rows], np.stack(points), self.truth[rows].astype(np.float32)
 
 
@@ -94,33 +99,42 @@ def make_examples(
 ) -> Examples:
     """Examples of all objects of `scenes` random scenes; scene i depends on (seed, i) alone.
 
-    workers: processes that make them, with the same result. cache: a file to keep them in, read instead when
-    it is there.
+    workers: processes that make them, with the same result. cache: a folder to keep them in, part by part;
+    parts that are there are read instead, so that a run that was stopped goes on where it was.
     """
-    if cache is not None and cache.is_file():
-        with np.load(cache) as stored:
-            return Examples(**{name: stored[name] for name in stored.files})
     from tqdm import tqdm
 
     one = partial(_examples_of, draw, seed)
-    rows: list[tuple] = []
+    parts: list[dict[str, np.ndarray]] = []
     with ExitStack() as stack:
+        todo: Callable = partial(map, one)
         if workers > 1:
             # A fresh process each: a fork of one that has used torch's threads can hang.
             pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
-            made = stack.enter_context(pool).map(one, range(scenes), chunksize=4)
-        else:
-            made = map(one, range(scenes))
-        for found in tqdm(made, total=scenes, desc=progress, mininterval=5):
-            rows.extend(found)
-    columns = [np.stack(column) for column in zip(*rows)]
-    arrays = {field.name: column for field, column in zip(fields(Examples), columns)}
-    if cache is not None:
-        cache.parent.mkdir(parents=True, exist_ok=True)
-        temporary = cache.with_name(cache.name + ".tmp.npz")
-        np.savez(temporary, **arrays)  # type: ignore[arg-type]
-        temporary.rename(cache)
-    return Examples(**arrays)
+            todo = partial(stack.enter_context(pool).map, one, chunksize=4)
+        bar = stack.enter_context(tqdm(total=scenes, desc=progress, mininterval=5))
+        for first in range(0, scenes, PART):
+            indices = range(first, min(first + PART, scenes))
+            file = cache and cache / f"scenes_{first}_{indices[-1]}.npz"
+            if file is not None and file.is_file():
+                with np.load(file) as stored:
+                    parts.append({name: stored[name] for name in stored.files})
+                bar.update(len(indices))
+                continue
+            rows: list[tuple] = []
+            for found in todo(indices):
+                rows.extend(found)
+                bar.update()
+            if not rows:
+                continue
+            names = (field.name for field in fields(Examples))
+            parts.append({name: np.stack(column) for name, column in zip(names, zip(*rows))})
+            if file is not None:
+                file.parent.mkdir(parents=True, exist_ok=True)
+                temporary = file.with_name(file.name + ".tmp.npz")
+                np.savez(temporary, **parts[-1])  # type: ignore[arg-type]
+                temporary.rename(file)
+    return Examples(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
 
 
 def _examples_of(draw: Callable[[np.random.Generator], TrainingShape], seed: int, index: int) -> list[tuple]:
@@ -141,27 +155,30 @@ def scene_examples(scene: TrainingScene, rng: np.random.Generator) -> Iterator[t
     evidence = RayLookup(observation, space)
     T_world_table = scene.frame.camera.T_world_camera @ np.linalg.inv(observation.T_table_camera)
     for index, item in enumerate(observation.objects):
-        box = ObjectBox.around(item.points, space.origin)
+        visible = item.outline  # as the prior will be asked
+        box = ObjectBox.around(visible, space.origin)
         around = evidence(box.lattice(), index)
         points = _hidden_points(box, item.points, space, rng)
         if len(points) < QUERIES:
             continue
         of_points = evidence(points, index)
         local = box.local(points)
-        plan = Footprint.of(box, item.points).at(box, local)
+        plan = Footprint.of(box, visible).at(box, local)
+        body = Revolution.of(box, visible, lambda where, k=index: evidence(where, k))
         shape = scene.shapes[item.label]
         yield (
             box.scalars(),
             around.behind.astype(np.float16),
             around.seen,
             around.inside.astype(np.float16),
-            box.surface_cells(item.points),
+            box.surface_cells(visible),
             local,
             of_points.behind.astype(np.float32),
             of_points.seen,
             of_points.inside.astype(np.float32),
             plan[0].astype(np.float16),
             plan[1].astype(np.float16),
+            body.channels(box, local).T.astype(np.float16),
             inside(shape, transform(T_world_table, points)),
             np.array(shape.family),
         )

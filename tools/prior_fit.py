@@ -6,6 +6,7 @@ Knows examples and networks; knows nothing of how the examples were made and whe
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -33,10 +34,15 @@ class FitSettings(Protocol):
     def rate(self) -> float: ...
     @property
     def decay(self) -> float: ...
+    @property
+    def cache(self) -> Path | None: ...
 
 
 def fit(network: PriorNetwork, examples: Examples, config: FitSettings, test: Examples) -> None:
-    """Minimise the cross-entropy at the examples' points."""
+    """Minimise the cross-entropy at the examples' points.
+
+    After each pass the state of training is kept in config.cache, where one is named, and taken from there.
+    """
     from tqdm import tqdm
 
     rng = np.random.default_rng(config.seed)
@@ -45,9 +51,19 @@ def fit(network: PriorNetwork, examples: Examples, config: FitSettings, test: Ex
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, config.rate, total_steps=max(steps, 2), pct_start=0.05, cycle_momentum=False
     )
+    kept = config.cache and config.cache / "fit.pt"
+    done = 0
+    if kept and kept.is_file():
+        state = torch.load(kept, weights_only=True)
+        done = state["epochs"]
+        network.load_state_dict(state["network"])
+        optimiser.load_state_dict(state["optimiser"])
+        schedule.load_state_dict(state["schedule"])
+        rng.bit_generator.state = state["rng"]
     network.train()
-    progress = tqdm(total=steps, desc="training", mininterval=5)
-    for epoch in range(config.epochs):
+    per_epoch = len(examples) // config.batch
+    progress = tqdm(total=steps, initial=done * per_epoch, desc="training", mininterval=5)
+    for epoch in range(done, config.epochs):
         total = 0.0
         for rows in _batches(len(examples), config.batch, rng):
             lattices, local, points, truth = _mirrored(*examples.inputs(rows), rng)
@@ -60,9 +76,20 @@ def fit(network: PriorNetwork, examples: Examples, config: FitSettings, test: Ex
             schedule.step()
             progress.update()
             total += loss.item()
-        mean = total / max(1, len(examples) // config.batch)
+        mean = total / max(1, per_epoch)
         progress.write(f"epoch {epoch + 1}: loss {mean:.4f}, test {score(network, test)['loss']:.4f}")
         network.train()
+        if kept:
+            state = {
+                "epochs": epoch + 1,
+                "network": network.state_dict(),
+                "optimiser": optimiser.state_dict(),
+                "schedule": schedule.state_dict(),
+                "rng": rng.bit_generator.state,
+            }
+            temporary = kept.with_suffix(".tmp")
+            torch.save(state, temporary)
+            temporary.rename(kept)
     progress.close()
     network.eval()
 

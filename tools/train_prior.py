@@ -68,7 +68,8 @@ class TrainConfig:
     decoder_only: bool = False
     """Train what answers for single points, and keep what looks at the object as a whole."""
     cache: Path | None = None
-    """Folder to keep the made examples in, and to take them from when they are there."""
+    """Folder to keep made examples and the state of training in: a run that was stopped goes on from there,
+    with the same result. An empty one for another recipe."""
 
 
 def main() -> None:
@@ -91,10 +92,10 @@ def train(config: TrainConfig) -> dict:
     strange = partial(draw_shape, families=HELD_OUT_FAMILIES)
 
     def examples(name: str, draw: Callable, count: int, seed: int) -> Examples:
-        cache = config.cache and config.cache / f"{name}_{count}_{seed}.npz"
+        cache = config.cache and config.cache / f"{name}_{seed}"
         return make_examples(count, draw, seed, f"{name} scenes", cache, config.workers)
 
-    kept = config.cache and (config.cache / f"train_{config.scenes}_{config.seed}.npz").is_file()
+    kept = config.cache and (config.cache / f"train_{config.seed}").is_dir()
     training = examples("train", learned_from, config.scenes, config.seed)
     tests = {
         "known_families": examples("known", known, config.test_scenes, config.seed + 10_000),

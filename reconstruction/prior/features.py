@@ -111,6 +111,14 @@ class ObjectBox:
             slope=float(-view[2] / max(level, 1e-6)),
         )
 
+    def turned(self, points: np.ndarray) -> np.ndarray:
+        """Points (N, 3) float32 turned so that x points away from the eye [m]."""
+        return _turn(points, self.heading)
+
+    def back(self, turned: np.ndarray) -> np.ndarray:
+        """The reverse of `turned`."""
+        return _turn(turned, self.heading * [1, -1])
+
     def local(self, points: np.ndarray) -> np.ndarray:
         """Points (N, 3) float32 of the table frame in box coordinates, -1 to 1 along each axis."""
         scale = (2 / self.size).astype(np.float32)

@@ -10,10 +10,11 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from reconstruction.prior.features import LATTICE, LATTICE_CHANNELS, RAY_NAMES
 from reconstruction.prior.footprint import FOOTPRINT_NAMES
+from reconstruction.prior.revolution import REVOLUTION_NAMES
 from reconstruction.prior.trilinear import corners
 
-POINT_NAMES = (*RAY_NAMES, *FOOTPRINT_NAMES)
-"""What is known of a single point: what the rays say, and the plan view."""
+POINT_NAMES = (*RAY_NAMES, *FOOTPRINT_NAMES, *REVOLUTION_NAMES)
+"""What is known of a single point: what the rays say, the plan view, and both turned about an axis."""
 POINT_CHANNELS = len(POINT_NAMES)
 
 WIDTHS = (24, 40, 64)

@@ -26,6 +26,7 @@ from reconstruction.prior.features import (
 )
 from reconstruction.prior.footprint import Footprint, footprint_channels
 from reconstruction.prior.network import POINT_NAMES, PriorNetwork, architecture
+from reconstruction.prior.revolution import Revolution
 
 WEIGHTS_FILE = Path(__file__).with_name("prior_weights.npz")
 ARCHITECTURE = "architecture"
@@ -92,10 +93,14 @@ class OcclusionPrior:
         visible = [item - lift if lift.any() else item for item, lift in zip(visible, lifts)]
         boxes = [ObjectBox.around(item, origin - lift) for item, lift in zip(visible, lifts)]
         lattices = np.empty((len(boxes), LATTICE_CHANNELS, *LATTICE), np.float32)
+        bodies: list[Revolution] = [None] * len(boxes)  # type: ignore[list-item]
 
         def look(index: int) -> None:
             around = evidence(boxes[index].lattice() + lifts[index], index)
             lattices[index] = lattice_channels(boxes[index], visible[index], around)
+            bodies[index] = Revolution.of(
+                boxes[index], visible[index], lambda where: evidence(where + lifts[index], index)
+            )
 
         def encode(part: slice) -> torch.Tensor:
             with torch.inference_mode():
@@ -110,7 +115,13 @@ class OcclusionPrior:
                 return
             local = local.T.take(rows, axis=1).T  # each axis stays in one piece
             plan = Footprint.of(box, visible[index]).at(box, local)
-            known = point_channels(local, evidence(points[rows], index), box.scalars()[:, None], *plan)
+            known = point_channels(
+                local,
+                evidence(points[rows], index),
+                box.scalars()[:, None],
+                *plan,
+                bodies[index].channels(box, local),
+            )
             with torch.inference_mode():
                 odds = self.network.decode(
                     features[index : index + 1],
@@ -135,14 +146,20 @@ def lattice_channels(box: ObjectBox, visible: np.ndarray, seen: RayEvidence) -> 
 
 
 def point_channels(
-    local: np.ndarray, seen: RayEvidence, scalars: np.ndarray, distance: np.ndarray, above: np.ndarray
+    local: np.ndarray,
+    seen: RayEvidence,
+    scalars: np.ndarray,
+    distance: np.ndarray,
+    above: np.ndarray,
+    turned: np.ndarray,
 ) -> np.ndarray:
     """The decoder's input (POINT_CHANNELS, N) float32 at points (N, 3) in box coordinates.
 
-    seen: the evidence there; scalars: of the box (6, 1); distance, above: (N,) as Footprint.at gives them.
+    seen: the evidence there; scalars: of the box (6, 1); distance, above: (N,) as Footprint.at gives them;
+    turned: (REVOLUTION_CHANNELS, N) as Revolution.channels gives them.
     """
     rows = channels(local, seen, scalars)
-    return np.concatenate([rows, footprint_channels(distance, above, scalars[0])])
+    return np.concatenate([rows, footprint_channels(distance, above, scalars[0]), turned])
 
 
 @lru_cache(maxsize=1)

@@ -20,7 +20,9 @@ from sim_scenes.training.shapes import TRAINING_FAMILIES, TrainingShape, draw_sh
 SCALE, STRETCH = 0.3, 0.08
 """Sizes of meshes vary by up to this in the logarithm; each axis by up to this on top."""
 HOLLOW_FILL = 0.55
-"""Meshes that fill less of their convex hull are hollow or branched: the others are drawn half as often."""
+"""Meshes that fill less of their convex hull are hollow or branched."""
+SOLID_RATE = 0.35
+"""How often a mesh is drawn that is neither, beside one that is."""
 LARGE, LARGE_M = 0.14, (0.25, 0.6)
 """Share of shapes made large, and their longest side [m]."""
 SMALL, SMALL_M = 0.08, (0.015, 0.06)
@@ -52,7 +54,7 @@ class Household:
             if found is None:
                 continue
             mesh, fill = found
-            if fill < HOLLOW_FILL or rng.random() < 0.5:
+            if fill < HOLLOW_FILL or rng.random() < SOLID_RATE:
                 break
         mesh = mesh.copy()
         mesh.vertices = mesh.vertices * np.exp(rng.uniform(-SCALE, SCALE) + rng.uniform(-STRETCH, STRETCH, 3))

@@ -17,15 +17,15 @@ def box(size: ArrayLike, centre: ArrayLike = (0.0, 0.0, 0.0)) -> trimesh.Trimesh
     return mesh
 
 
-def turned(profile: ArrayLike, flatten: float = 1.0) -> trimesh.Trimesh:
+def turned(profile: ArrayLike, flatten: float = 1.0, power: float = 1.0) -> trimesh.Trimesh:
     """The solid swept by turning a profile of (radius, height) rows about z, from axis to axis.
 
     The profile runs upwards along the outside and, for hollow shapes, back down the inside.
-    flatten: scale of y, for oval cross-sections.
+    flatten: scale of y, for oval cross-sections; power: 1 for round ones, nearly square for small powers.
     """
     outline = np.asarray(profile, float)
     angle = np.linspace(0, 2 * np.pi, SECTIONS, endpoint=False)
-    ring = np.stack([np.cos(angle), flatten * np.sin(angle)], axis=1)
+    ring = np.stack([_bent(np.cos(angle), power), flatten * _bent(np.sin(angle), power)], axis=1)
     rings = np.concatenate(
         [
             outline[:, None, :1] * ring[None],
@@ -82,19 +82,21 @@ def rounded(half: ArrayLike, power: float, centre: ArrayLike = (0.0, 0.0, 0.0)) 
     polar = np.linspace(-np.pi / 2, np.pi / 2, 17)[:, None]
     angle = np.linspace(0, 2 * np.pi, SECTIONS, endpoint=False)[None]
 
-    def bent(value: np.ndarray) -> np.ndarray:
-        return np.sign(value) * np.abs(value) ** power
-
     ones = np.ones_like(angle)
     rings = np.stack(
         [
-            bent(np.cos(polar)) * bent(np.cos(angle)),
-            bent(np.cos(polar)) * bent(np.sin(angle)),
-            bent(np.sin(polar)) * ones,
+            _bent(np.cos(polar), power) * _bent(np.cos(angle), power),
+            _bent(np.cos(polar), power) * _bent(np.sin(angle), power),
+            _bent(np.sin(polar), power) * ones,
         ],
         axis=2,
     )
     return _from_rings(rings * np.asarray(half, float) + np.asarray(centre, float))
+
+
+def _bent(value: np.ndarray, power: float) -> np.ndarray:
+    """Sines of a circle bent towards those of a square."""
+    return np.sign(value) * np.abs(value) ** power
 
 
 def _from_rings(rings: np.ndarray, closed: bool = False) -> trimesh.Trimesh:

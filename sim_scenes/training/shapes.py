@@ -47,6 +47,8 @@ FAMILIES: dict[str, Family] = {
     "bowl": vessels.bowl,
     "dish": vessels.dish,
     "pan": vessels.pan,
+    "pot": vessels.pot,
+    "basket": vessels.basket,
     "lid": vessels.lid,
     "banana": toys.banana,
     "rod": tools.rod,
@@ -72,8 +74,10 @@ HELD_OUT_FAMILIES = ("hammer", "star", "goblet")
 TRAINING_FAMILIES = tuple(name for name in FAMILIES if name not in HELD_OUT_FAMILIES)
 
 
-WEIGHTS = {"block": 3.0, "packet": 2.0, "can": 2.0, "bottle": 2.0, "cup": 3.0, "bowl": 2.0, "dish": 2.0}
-"""How often a family is drawn; one for the others. Boxes, cans and vessels are what stands on most tables."""
+WEIGHTS = {"block": 3.0, "packet": 2.0, "can": 2.0, "bottle": 2.0, "cup": 3.0, "mug": 4.0, "bowl": 4.0}
+WEIGHTS |= {"dish": 3.0, "pan": 2.0, "pot": 3.0, "basket": 3.0, "pitcher": 2.0}
+"""How often a family is drawn; one for the others. Boxes, cans and vessels are what stands on most tables,
+and what is hollow is the hardest to guess."""
 
 
 def draw_shape(rng: np.random.Generator, families: tuple[str, ...] = TRAINING_FAMILIES) -> TrainingShape:

@@ -106,6 +106,33 @@ def pitcher(rng: np.random.Generator) -> Parts:
     return [body, handle]
 
 
+def pot(rng: np.random.Generator) -> Parts:
+    """A cooking or flower pot: wide, sometimes with two handles."""
+    radius, height = rng.uniform(0.05, 0.13), rng.uniform(0.06, 0.18)
+    share = np.linspace(0, 1, 5)
+    foot = rng.uniform(0.65, 1.05)
+    widths = radius * (foot + (1 - foot) * share + rng.uniform(-0.05, 0.12) * np.sin(np.pi * share))
+    body = _footed(rng, widths, height * share, _thickness(rng, 0.0012, 0.006), _thickness(rng, 0.002, 0.01))
+    if rng.random() < 0.5:
+        return [body]
+    wire = (rng.uniform(0.003, 0.008), rng.uniform(0.003, 0.006))
+    reach, low = rng.uniform(0.012, 0.03), rng.uniform(0.6, 0.75) * height
+    one = _handle(reach, low, 0.92 * height, 0.94 * widths[-1], wire)
+    other = one.copy()
+    other.apply_transform(np.diag([-1.0, -1.0, 1.0, 1.0]))
+    return [body, one, other]
+
+
+def basket(rng: np.random.Generator) -> Parts:
+    """An open vessel with four rounded corners: baskets, bins, square bowls, baking dishes, square plates."""
+    radius, height = rng.uniform(0.04, 0.15), float(np.exp(rng.uniform(np.log(0.012), np.log(0.16))))
+    share = np.linspace(0, 1, 4)
+    foot = rng.uniform(0.6, 1.0)
+    widths = radius * (foot + (1 - foot) * share)
+    outline = wall(widths, height * share, _thickness(rng, 0.0012, 0.007), _thickness(rng, 0.0012, 0.007))
+    return [turned(outline, rng.uniform(0.5, 1.0), rng.uniform(0.15, 0.6))]
+
+
 def bowl(rng: np.random.Generator) -> Parts:
     radius, height = rng.uniform(0.05, 0.11), rng.uniform(0.03, 0.08)
     share = np.linspace(0, 1, 8)
