@@ -155,6 +155,8 @@ def scene_examples(scene: TrainingScene, rng: np.random.Generator) -> Iterator[t
     evidence = RayLookup(observation, space)
     T_world_table = scene.frame.camera.T_world_camera @ np.linalg.inv(observation.T_table_camera)
     for index, item in enumerate(observation.objects):
+        if item.label not in scene.shapes:
+            continue  # a wrong mask over several shapes has no truth
         visible = item.outline  # as the prior will be asked
         box = ObjectBox.around(visible, space.origin)
         around = evidence(box.lattice(), index)
