@@ -14,9 +14,13 @@ import torch
 from torch.nn import functional as F
 
 from reconstruction.prior.network import PriorNetwork
+from sim_scenes.training.household import HOLLOW_MESH
+from sim_scenes.training.shapes import HOLLOW_FAMILIES
 from tools.prior_data import Examples
 from tools.prior_scores import chunks, score
 
+HOLLOW = (*HOLLOW_FAMILIES, HOLLOW_MESH)
+"""Kinds of objects that scenes for training have more of than tables do."""
 Y_CHANNEL = 9
 """The channel that changes its sign when left and right are exchanged."""
 
@@ -35,6 +39,8 @@ class FitSettings(Protocol):
     @property
     def decay(self) -> float: ...
     @property
+    def solid(self) -> float: ...
+    @property
     def cache(self) -> Path | None: ...
 
 
@@ -46,6 +52,7 @@ def fit(network: PriorNetwork, examples: Examples, config: FitSettings, test: Ex
     from tqdm import tqdm
 
     rng = np.random.default_rng(config.seed)
+    weight = _weights(examples, config.solid)
     steps = config.epochs * (len(examples) // config.batch)
     optimiser = torch.optim.AdamW(network.parameters(), lr=config.rate, weight_decay=config.decay)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
@@ -68,7 +75,7 @@ def fit(network: PriorNetwork, examples: Examples, config: FitSettings, test: Ex
         for rows in _batches(len(examples), config.batch, rng):
             lattices, local, points, truth = _mirrored(*examples.inputs(rows), rng)
             odds = network.decode(network.encode(lattices), local, points)
-            loss = F.binary_cross_entropy_with_logits(odds, truth)
+            loss = F.binary_cross_entropy_with_logits(odds, truth, weight=weight[rows, None])
             optimiser.zero_grad()
             loss.backward()
             torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
@@ -102,6 +109,7 @@ def fit_decoder(network: PriorNetwork, examples: Examples, config: FitSettings, 
     from tqdm import tqdm
 
     rng = np.random.default_rng(config.seed)
+    weight = _weights(examples, config.solid)
     plain = _features(network, examples, mirrored=False)
     mirror = _features(network, examples, mirrored=True)
     steps = config.epochs * (len(examples) // config.batch)
@@ -119,7 +127,8 @@ def fit_decoder(network: PriorNetwork, examples: Examples, config: FitSettings, 
             points[chosen, :, Y_CHANNEL] *= -1
             seen = np.where(chosen[:, None, None, None, None], mirror[rows], plain[rows]).astype(np.float32)
             features, *rest = map(torch.from_numpy, (seen, local, points, truth))
-            loss = F.binary_cross_entropy_with_logits(network.decode(features, *rest[:2]), rest[2])
+            odds = network.decode(features, *rest[:2])
+            loss = F.binary_cross_entropy_with_logits(odds, rest[2], weight=weight[rows, None])
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
@@ -130,6 +139,12 @@ def fit_decoder(network: PriorNetwork, examples: Examples, config: FitSettings, 
         progress.write(f"epoch {epoch + 1}: loss {mean:.4f}, test {score(network, test)['loss']:.4f}")
     progress.close()
     network.eval()
+
+
+def _weights(examples: Examples, solid: float) -> torch.Tensor:
+    """Weight (B,) of each object in the loss, 1 on average."""
+    weight = np.where(np.isin(examples.family, HOLLOW), 1.0, solid)
+    return torch.from_numpy((weight / weight.mean()).astype(np.float32))
 
 
 def _features(network: PriorNetwork, examples: Examples, mirrored: bool) -> np.ndarray:

@@ -63,6 +63,8 @@ class TrainConfig:
     """Folder of household meshes to learn from as well, those of its part `train`; none by default."""
     share: float = 0.6
     """Share of the shapes that are household meshes, where their folder is named."""
+    solid: float = 1.0
+    """How much solid objects count in the loss beside hollow ones, of which scenes have more than tables."""
     start: Path | None = None
     """Weights to start from, of this network or of one that looked at fewer things; random by default."""
     decoder_only: bool = False
@@ -179,7 +181,7 @@ def _household_record(folder: Path) -> dict:
 
 def _options(config: TrainConfig) -> str:
     """The options that make the same weights again."""
-    wanted = ("seed", "scenes", "test_scenes", "epochs", "batch", "rate", "decay")
+    wanted = ("seed", "scenes", "test_scenes", "epochs", "batch", "rate", "decay", "solid")
     given = " ".join(f"--{name.replace('_', '-')} {getattr(config, name):g}" for name in wanted)
     if config.household is not None:
         given += f" --household DIR --share {config.share:g}"

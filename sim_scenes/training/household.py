@@ -27,6 +27,8 @@ LARGE, LARGE_M = 0.14, (0.25, 0.6)
 """Share of shapes made large, and their longest side [m]."""
 SMALL, SMALL_M = 0.08, (0.015, 0.06)
 """Share of shapes made small, and their longest side [m]."""
+HOLLOW_MESH = "hollow mesh"
+"""What such meshes are called as a family."""
 SAME_SIDE, SAME_VOLUME = 0.01, 0.03
 """Meshes of two sources that differ by less than this in sides and volume may be one object."""
 REFUSED_LICENCES = ("mixed", "NC", "ND")
@@ -58,7 +60,7 @@ class Household:
                 break
         mesh = mesh.copy()
         mesh.vertices = mesh.vertices * np.exp(rng.uniform(-SCALE, SCALE) + rng.uniform(-STRETCH, STRETCH, 3))
-        return TrainingShape("hollow mesh" if fill < HOLLOW_FILL else "solid mesh", (mesh,))
+        return TrainingShape(HOLLOW_MESH if fill < HOLLOW_FILL else "solid mesh", (mesh,))
 
 
 @dataclass(frozen=True)

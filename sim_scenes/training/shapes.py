@@ -80,6 +80,10 @@ WEIGHTS |= {"dish": 3.0, "pan": 2.0, "pot": 3.0, "basket": 3.0, "pitcher": 2.0}
 and what is hollow is the hardest to guess."""
 
 
+HOLLOW_FAMILIES = ("cup", "mug", "pitcher", "bowl", "dish", "pan", "pot", "basket", "lid", "tray")
+"""Families of thin walls."""
+
+
 def draw_shape(rng: np.random.Generator, families: tuple[str, ...] = TRAINING_FAMILIES) -> TrainingShape:
     """A random shape of a random family."""
     weights = np.array([WEIGHTS.get(family, 1.0) for family in families])
