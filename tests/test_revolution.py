@@ -55,7 +55,7 @@ def look(scene: TrainingScene):
     return box, Revolution.of(box, visible, lambda points: lookup(points, 0)), T_world_table, space
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_axis_of_a_cup_is_found(seed: int) -> None:
     scene = make_training_scene(cup, np.random.default_rng(seed), ALONE)
     box, body, T_world_table, _ = look(scene)
@@ -67,8 +67,8 @@ def test_the_axis_of_a_cup_is_found(seed: int) -> None:
 
 
 def test_circles_do_not_fit_a_carton() -> None:
-    rounds = [look(make_training_scene(cup, np.random.default_rng(s), ALONE))[1].misfit for s in range(3)]
-    boxes = [look(make_training_scene(carton, np.random.default_rng(s), ALONE))[1].misfit for s in range(3)]
+    rounds = [look(make_training_scene(cup, np.random.default_rng(s), ALONE))[1].misfit for s in range(2)]
+    boxes = [look(make_training_scene(carton, np.random.default_rng(s), ALONE))[1].misfit for s in range(2)]
     assert min(boxes) > max(rounds)
 
 
