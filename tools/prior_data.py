@@ -166,7 +166,7 @@ def scene_examples(scene: TrainingScene, rng: np.random.Generator) -> Iterator[t
         of_points = evidence(points, index)
         local = box.local(points)
         plan = Footprint.of(box, visible).at(box, local)
-        body = Revolution.of(box, visible, lambda where, k=index: evidence(where, k))
+        body = Revolution.of(box, visible, partial(evidence, index=index))
         shape = scene.shapes[item.label]
         yield (
             box.scalars(),

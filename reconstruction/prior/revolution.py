@@ -16,7 +16,6 @@ import cv2
 import numpy as np
 
 from reconstruction.prior.features import OWN, ObjectBox, RayEvidence
-from reconstruction.prior.trilinear import corners
 
 SLICES = 12
 """Level slices of the visible points, each with circles of its own about the common axis."""
@@ -79,9 +78,7 @@ class Revolution:
         shift = ((self.axis - box.low[:2]) / half - 1).astype(np.float32)
         radius = np.hypot(x - shift[0], y - shift[1]) * half
         out = radius * np.float32(2 / (REACH * box.size[0])) - 1
-        index, weight = corners(np.stack([np.full_like(z, -1), out, z]), (2, RADII, LEVELS))
-        index, weight = index[:4], weight[:4]  # the first axis is a dummy: all lies in its first layer
-        free, behind, own = ((part.reshape(-1).take(index) * weight).sum(0) for part in self.table)
+        free, behind, own = _between(self.table, out, z)
         across, up = _profile_cell(box, radius), _profile_cell(box, (z + 1) * np.float32(box.size[2] / 2))
         near = self.profile.take(across * PROFILE + up)
         rows = np.empty((REVOLUTION_CHANNELS, len(local)), np.float32)
@@ -150,6 +147,25 @@ def _table(box: ObjectBox, axis: np.ndarray, evidence: Callable) -> np.ndarray:
     passed = (behind < -PASSED).sum(0) / count
     own = ((seen.seen.reshape(behind.shape) == OWN) & (behind > -PASSED)).sum(0) / ANGLES
     return np.stack([passed, smallest, own]).astype(np.float32)
+
+
+def _between(table: np.ndarray, out: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Values (3, N) of a table (3, RADII, LEVELS) between its cells, at places (N,) from -1 to 1 outwards and
+    upwards; beyond its ends, the nearest cells count."""
+    shares, firsts = [], []
+    for place, count in ((out, RADII), (up, LEVELS)):
+        at = np.clip((place + 1) * np.float32(count / 2) - np.float32(0.5), 0, count - 1)
+        first = np.minimum(at.astype(np.int32), count - 2)
+        firsts.append(first)
+        shares.append(at - first)
+    (r, z), (dr, dz) = firsts, shares
+    index = r * np.int32(LEVELS) + z
+    columns = table.reshape(3, -1)
+    low, high = (
+        columns.take(index + step, axis=1) * (1 - dz) + columns.take(index + step + 1, axis=1) * dz
+        for step in (0, LEVELS)
+    )
+    return low * (1 - dr) + high * dr
 
 
 def _profile(box: ObjectBox, axis: np.ndarray, turned: np.ndarray) -> np.ndarray:
