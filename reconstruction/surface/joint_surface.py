@@ -18,7 +18,9 @@ from reconstruction.surface.seen_surface import FAR, Edges, Reading, SeenSurface
 NOISES = 3.0
 """Views whose distances differ by no more than this many standard deviations see the same surface ..."""
 LEAST_SPREAD = 0.0005
-"""... or by no more than this [m]."""
+"""... or by no more than this [m] ..."""
+OUTLINE = 1.0
+"""... or than this [px]: each view knows outlines no better, and all of them would shave the same edge."""
 UNSEEN = -9
 """Number of an object in a view that does not see it."""
 
@@ -54,7 +56,9 @@ class JointSurface:
         ]
         nearest = np.min(depths)
         spread = max(
-            NOISES * seen.noise * depth**2 if np.isfinite(depth) else 0.0
+            max(NOISES * seen.noise * depth**2, OUTLINE * nearest / float(seen.camera.K[0, 0]))
+            if np.isfinite(depth)
+            else 0.0
             for seen, depth in zip(self.views, depths)
         )
         # A view's noise grows with the square of the depth, its weight falls with the square of that.
