@@ -46,12 +46,14 @@ def fit_softmax(
     whiten: Callable[[torch.Tensor], SparseFactor],
     l2: float,
     config: FitConfig,
+    start: torch.Tensor | None = None,
 ) -> tuple[torch.Tensor, FitReport]:
     """Minimise sum_i w_i CE(softmax(W^T phi_i + offset), t_i) + l2/2 ||W||^2.
 
     targets: (N,) int64 classes or (N, C) float32 distributions, rows as in `features`.
     sample_weights: (N,) that sum to 1; offset: (C,) fixed; whiten: from the diagonal (H,) of a bound on each
-    class's Hessian, a factor for that bound. Returns W (H, C) and the report.
+    class's Hessian, a factor for that bound. start: (H, C) where the fit begins, W = 0 by default. Returns W
+    (H, C) and the report.
 
     Neighbouring kernels overlap, so the loss is badly conditioned in W. The fit runs in coordinates U with
     W = G^T U, where G whitens a bound on the Hessian (Böhning 1992): there L-BFGS needs a third of the
@@ -60,14 +62,14 @@ def fit_softmax(
     with Threads(offset.device) as threads:
         objective = _Objective(features, targets, sample_weights, offset, l2, threads)
         coordinates = whiten(objective.curvature())
-        return _minimise(objective, coordinates, config)
+        return _minimise(objective, coordinates, config, start)
 
 
 def _minimise(
-    objective: _Objective, coordinates: SparseFactor, config: FitConfig
+    objective: _Objective, coordinates: SparseFactor, config: FitConfig, start: torch.Tensor | None
 ) -> tuple[torch.Tensor, FitReport]:
-    """L-BFGS from W = 0 with a backtracking line search (Nocedal and Wright, chapters 3 and 7)."""
-    W = objective.start()
+    """L-BFGS from a start with a backtracking line search (Nocedal and Wright, chapters 3 and 7)."""
+    W = objective.start() if start is None else objective.start_at(start)
     loss, slopes = objective.at(W, 0.0)
     gradient = coordinates.pull(slopes)
     losses = [loss]
@@ -133,6 +135,15 @@ class _Objective:
     def start(self) -> torch.Tensor:
         """W = 0, where the logits are the offset."""
         return self.shares[0].logits.new_zeros(self.shape)
+
+    def start_at(self, W: torch.Tensor) -> torch.Tensor:
+        """W (H, C), the logits being its own."""
+
+        def set_logits(share: _Share) -> None:
+            share.logits += share.rows.times(W)
+
+        self.threads.map(set_logits, self.shares)
+        return W.clone()
 
     def curvature(self) -> torch.Tensor:
         """The diagonal (H,) of a bound on the Hessian: p (1 - p) is at most 1/4 for every class."""

@@ -244,6 +244,13 @@ def preset(
     return override(config, sections)
 
 
+def pipeline_of(stored: dict[str, Any]) -> PipelineConfig:
+    """The configuration that as_dict gave; ConfigError when it is of another version."""
+    return override(
+        preset(stored["preset"]), {key: value for key, value in stored.items() if key != "preset"}
+    )
+
+
 def with_prior(config: PipelineConfig, prior: str) -> PipelineConfig:
     """The same with another prior; the paper preset has none, and refuses any other."""
     if isinstance(config.samples, TabletopSamples):

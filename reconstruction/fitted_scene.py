@@ -31,6 +31,7 @@ from reconstruction.surface.field import Field, evaluate_field
 from reconstruction.surface.joint_surface import JointSurface
 from reconstruction.surface.meshing import extract_mesh
 from reconstruction.surface.seen_surface import SeenSurface
+from reconstruction.warm_start import Before
 
 OTHER_MARGIN = 0.03
 """Obstacles without a label are mapped this far around what is seen of them [m]."""
@@ -54,7 +55,7 @@ class FittedScene:
 
     rng: draws the samples, and is used up by them. given: an observation that was made before, so that
     several scenes of one frame share it. further: more views of the scene, their poses in the same world;
-    track: equal label numbers are the same object in all of them.
+    track: equal label numbers are the same object in all of them. before: a map of fewer views, to start from.
     """
 
     frame: Frame
@@ -64,6 +65,7 @@ class FittedScene:
     given: Observation | None = None
     further: tuple[Frame, ...] = ()
     track: bool = False
+    before: Before | None = None
 
     @classmethod
     def of(
@@ -112,8 +114,15 @@ class FittedScene:
         there are any, the last "uncertain"."""
         training = self.samples
         return ContraMap(self.config.map).fit(
-            training.X, training.y, hinges=training.hinges, gamma=training.gamma
+            training.X, training.y, hinges=training.hinges, gamma=training.gamma, start=self._start
         )
+
+    @property
+    def _start(self) -> np.ndarray | None:
+        if self.before is None:
+            return None
+        labels = [item.label for item in self.observation.objects]
+        return self.before.weights(self.samples, labels)
 
     @cached_property
     def field(self) -> Field:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import trimesh
 
+from mapping.errors import ConfigError
 from perception.camera import invert_rigid
 from perception.frame import Frame
 from perception.observation import NOTHING, OTHER, Observation, Skipped
@@ -115,7 +116,7 @@ class Reconstruction:
     timings_ms: stage -> milliseconds. config: everything that was used, as plain dict.
     fields: the lattices the meshes were taken from, one an object. floor: no object is below this height
     [m, table frame], whatever the map says there; None: unknown. other: obstacles without a label, None if
-    there are none near objects.
+    there are none near objects. updater: makes the map of one view more, see update.
     """
 
     frame: Frame
@@ -133,6 +134,7 @@ class Reconstruction:
     seed: int = 0
     floor: float | None = None
     other: OtherObstacles | None = None
+    updater: Callable[[Reconstruction, Frame, bool], Reconstruction] | None = None
 
     @cached_property
     def space(self) -> Space:
@@ -206,6 +208,18 @@ class Reconstruction:
         from reconstruction.files.result_folder import save_reconstruction
 
         return save_reconstruction(self, Path(folder), overwrite)
+
+    def update(self, frame: Frame, track: bool = False) -> Reconstruction:
+        """The map of the scene with one view more, its T_world_camera in the same world.
+
+        As reconstruct with all views, but earlier views are not cleaned again and the fit starts from this
+        map's weights; this Reconstruction stays as it is. track: label numbers are the same objects' as here;
+        else they are where names agree too, and the rest is matched by place. Raises FrameError when the
+        frame shows no usable object.
+        """
+        if self.updater is None:
+            raise ConfigError("this Reconstruction was put together by hand: reconstruct all frames instead")
+        return self.updater(self, frame, track)
 
     def __getitem__(self, key: str | int) -> ReconstructedObject:
         """The object of this name or label; DataError that names the valid ones."""

@@ -14,11 +14,14 @@ from mapping.errors import DataError, FrameError
 from perception.camera import transform
 from perception.frame import Frame
 from perception.observation import ObservedObject, Skipped
-from reconstruction.config import PipelineConfig
-from reconstruction.fitted_scene import FittedScene, Surface
+from perception.views.joint import JointObservation, View
+from perception.views.observing_together import observe_together
+from reconstruction.config import PipelineConfig, pipeline_of
+from reconstruction.fitted_scene import FittedScene, Surface, generator
 from reconstruction.pictures.palette import paint
 from reconstruction.result import ObjectField, OtherObstacles, ReconstructedObject, Reconstruction
 from reconstruction.surface.field import Field, overlap, window_of, within
+from reconstruction.warm_start import Before
 
 STAGES = {
     "observation": "observe",
@@ -53,7 +56,25 @@ def reconstruct(
     frames = (frame,) if isinstance(frame, Frame) else tuple(frame)
     if not frames:
         raise FrameError("no frame to map: the list of views is empty")
-    scene = FittedScene.of(frames[0], config or PipelineConfig(), seed, frames[1:], track)
+    return _clocked(FittedScene.of(frames[0], config or PipelineConfig(), seed, frames[1:], track))
+
+
+def update(result: Reconstruction, frame: Frame, track: bool = False) -> Reconstruction:
+    """The map of a scene with one view more; see Reconstruction.update."""
+    import open3d  # noqa: F401
+
+    config = pipeline_of(result.config)
+    seen = result.observation
+    known = seen.views if isinstance(seen, JointObservation) else (View(result.frame, seen, 1),)
+    joint = observe_together([frame], config.perception, result.seed, track, known)
+    before = Before(result.map, result.map_labels)
+    scene = FittedScene(result.frame, config, generator(result.seed), result.seed, given=joint, before=before)
+    updated = _clocked(scene)
+    return replace(updated, notes=tuple(dict.fromkeys([*result.notes, *updated.notes])))
+
+
+def _clocked(scene: FittedScene) -> Reconstruction:
+    """All steps of a scene, with the time that each took."""
     marks = [perf_counter()]
     for step in STAGES:
         getattr(scene, step)
@@ -95,6 +116,7 @@ def deliver(scene: FittedScene) -> Reconstruction:
         seed=scene.seed,
         floor=scene.floor,
         other=_other(scene, T_world_table),
+        updater=update,
     )
 
 

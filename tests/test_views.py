@@ -224,3 +224,26 @@ def test_views_from_the_command_line(
     capsys.readouterr()
     assert main(["map", folders[0], "--together", "--out", str(tmp_path / "no")]) == 2
     assert "several frames" in capsys.readouterr().err
+
+
+def test_an_update_is_the_map_of_all_views() -> None:
+    updated = mapped(0, 1, 2).update(views(5)[3])
+    whole = mapped(0, 1, 2, 3)
+    assert [view.number for view in updated.observation.views] == [1, 2, 3, 4]
+    for item in whole:
+        apart = Solid(updated[item.label].mesh).distance(item.mesh.sample(800, seed=0))
+        assert np.mean(apart) < 0.001
+        assert abs(updated[item.label].mean_uncertainty - item.mean_uncertainty) < 0.02
+    first, last = (result.map.report.losses for result in (whole, updated))
+    assert last[0] < first[0] / 2  # it starts from what it knew
+    assert last[-1] == pytest.approx(first[-1], rel=0.05)
+    assert len(last) < len(first)
+
+
+def test_an_update_knows_which_object_is_which() -> None:
+    frames = [numbered(views(2)[0], [1, 2, 3, 4]), numbered(views(2)[1], [3, 1, 4, 2])]
+    first = reconstruct(frames[0])
+    joint = first.update(frames[1]).observation
+    assert sorted(item.label for item in joint.objects) == [1, 2, 3, 4]
+    assert joint.views[1].frame.labels is not None
+    assert (joint.views[1].frame.labels == views(2)[1].labels).mean() > 0.99

@@ -35,12 +35,17 @@ def same_number(a: Frame, b: Frame, label: int, track: bool) -> bool:
 
 
 def match(
-    frames: Sequence[Frame], observations: Sequence[Observation], spaces: Sequence[Space], track: bool
+    frames: Sequence[Frame],
+    observations: Sequence[Observation],
+    spaces: Sequence[Space],
+    track: bool,
+    numbers: Sequence[int],
+    settled: int = 0,
 ) -> tuple[list[dict[int, int]], list[str]]:
     """For each view own label -> joint label, and what was matched otherwise than by number, a line each.
 
     Joint labels are the first view's; a new object keeps its number where that is free. track: equal numbers
-    are the same object in all frames.
+    are the same object in all frames. numbers: of the views; settled: so many of them have joint labels already.
     """
     joint: dict[int, list[tuple[int, ObservedObject]]] = {}
     found: list[dict[int, int]] = []
@@ -48,6 +53,8 @@ def match(
     for view, observation in enumerate(observations):
         labels: dict[int, int] = {}
         for item in observation.objects:
+            if view < settled:
+                labels[item.label] = item.label
             known = joint.get(item.label, [])
             if any(
                 own.label == item.label and same_number(frames[view], frames[other], item.label, track)
@@ -71,7 +78,7 @@ def match(
                     item, label = asked[row], against[column]
                     labels[item.label] = label
                     notes.append(
-                        f"view {view + 1}: its {item.label} {item.name} is {label} "
+                        f"view {numbers[view]}: its {item.label} {item.name} is {label} "
                         f"{joint[label][0][1].name} by where it is ({scores[row, column]:.0%})"
                     )
         for item in observation.objects:
@@ -79,7 +86,9 @@ def match(
                 taken = {*joint, *labels.values()}
                 labels[item.label] = item.label if item.label not in taken else max(taken) + 1
                 if view:
-                    notes.append(f"view {view + 1}: its {item.label} {item.name} is in no view before it")
+                    notes.append(
+                        f"view {numbers[view]}: its {item.label} {item.name} is in no view before it"
+                    )
             joint.setdefault(labels[item.label], []).append((view, item))
         found.append(labels)
     return found, notes

@@ -24,17 +24,23 @@ from perception.views.placing import moved, relabelled, without_pixels
 
 
 def observe_together(
-    frames: Sequence[Frame], config: PerceptionConfig | None = None, seed: int = 0, track: bool = False
+    frames: Sequence[Frame],
+    config: PerceptionConfig | None = None,
+    seed: int = 0,
+    track: bool = False,
+    known: Sequence[View] = (),
 ) -> JointObservation:
     """Clean frames of one scene and express them in the table frame of the first that shows a support.
 
     track: equal label numbers are the same object in all frames; else names must agree too, or the place
-    decides. Views that contradict the others are left out, and named in the notes. Raises FrameError when no
-    frame shows an object.
+    decides. known: views of the scene that were observed before; their labels and table frame stay. Views that
+    contradict the others are left out, and named in the notes. Raises FrameError when no frame shows an object.
     """
     config = config or PerceptionConfig()
-    kept, notes, reasons = [], [], []
-    for number, frame in enumerate(frames, 1):
+    kept = [(view.number, view.frame, view.observation) for view in known]
+    notes, reasons = [], []
+    last = max((view.number for view in known), default=0)
+    for number, frame in enumerate(frames, last + 1):
         try:
             kept.append((number, frame, observe(frame, config, seed)))
         except FrameError as error:
@@ -42,7 +48,8 @@ def observe_together(
     if not kept:
         raise FrameError("no view shows an object to map (" + "; ".join(reasons) + ")")
     notes += reasons
-    kept.sort(key=lambda entry: entry[2].support is None)  # stable: the first with a support leads
+    if not known:
+        kept.sort(key=lambda entry: entry[2].support is None)  # stable: the first with a support leads
     first_frame, first = kept[0][1:]
     T_world_table = first_frame.camera.T_world_camera @ np.linalg.inv(first.T_table_camera)
     to_table = np.linalg.inv(T_world_table)
@@ -51,11 +58,21 @@ def observe_together(
         for _, frame, observation in kept
     ]
     labels, found = match(
-        [frame for _, frame, _ in kept], placed, [Space.of(one, config) for one in placed], track
+        [frame for _, frame, _ in kept],
+        placed,
+        [Space.of(one, config) for one in placed],
+        track,
+        [number for number, _, _ in kept],
+        len(known),
     )
     notes += found
     views = _views(kept, placed, labels)
-    for view in views:
+    poses = [frame.camera.T_world_camera for _, frame, _ in kept]
+    if len(poses) > 1 and all(np.array_equal(pose, poses[0]) for pose in poses):
+        notes.append(
+            "all views have one camera pose: does T_world_camera miss, or did the camera stand still?"
+        )
+    for view in [view for view in views if view.number > last]:
         notes += [f"view {view.number}: {note}" for note in view.observation.notes]
     views, found = _agreeing(views, config)
     skipped = _skipped(kept, {label for view in views for label in view.labels})

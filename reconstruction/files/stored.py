@@ -13,13 +13,12 @@ import trimesh
 
 from mapping.errors import ContraMapError, DataError
 from mapping.guarded_files import read_json
-from mapping.settings import override
 from perception.frame import Frame
 from perception.observation import Observation
 from perception.space import Space
 from perception.views.joint_space import space_of
 from perception.views.observing_together import observe_again
-from reconstruction.config import preset
+from reconstruction.config import pipeline_of
 from reconstruction.files.mesh_files import decode_ply
 from reconstruction.files.scene_json import FORMAT
 from reconstruction.files.stored_frame import read_frame, read_views
@@ -105,8 +104,7 @@ class StoredResult:
     @cached_property
     def _asked(self) -> tuple[ContraMap, Observation, Space]:
         try:
-            stored = {key: value for key, value in self.scene["config"].items() if key != "preset"}
-            config = override(preset(self.scene["config"]["preset"]), stored)
+            config = pipeline_of(self.scene["config"])
             columns, seed = list(self.scene["map_labels"]), int(self.scene["seed"])
         except (KeyError, TypeError, ValueError, ContraMapError) as error:
             raise DataError(

@@ -1,0 +1,47 @@
+"""Weights to start a fit from: those of an earlier map of the same scene, where it had the same hinge points.
+
+Knows maps and training sets in one table frame; knows nothing of views.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mapping.contramap import ContraMap
+from perception.observation import NOTHING, OTHER
+from reconstruction.samples.training_set import TrainingSet
+
+SAME = 1e-4
+"""Hinge points of one width this near to each other are the same [m]: they lie on lattices of one origin."""
+
+
+@dataclass(frozen=True)
+class Before:
+    """A map that was fitted before. labels: of its columns, as Reconstruction.map_labels."""
+
+    map: ContraMap
+    labels: tuple[int, ...]
+
+    def weights(self, training: TrainingSet, labels: Sequence[int]) -> np.ndarray:
+        """(H, C+1) float32: the earlier weights of each hinge point and class; 0 for new ones.
+
+        labels: of the objects, in the order of their classes.
+        """
+        count = training.y.shape[1]
+        own = [0, *labels, *[OTHER] * (count - 2 - len(labels)), NOTHING]
+        columns = [(k, self.labels.index(label)) for k, label in enumerate(own) if label in self.labels]
+        new, old = map(list, zip(*columns))
+        earlier = self.map.W.cpu().numpy()
+        start = np.zeros((len(training.hinges), count), np.float32)
+        for gamma in np.unique(training.gamma):
+            here, there = np.flatnonzero(training.gamma == gamma), np.flatnonzero(self.map.gamma == gamma)
+            if len(there):
+                tree = cKDTree(self.map.hinges[there])
+                apart, nearest = tree.query(training.hinges[here], distance_upper_bound=SAME)
+                same = np.isfinite(apart)
+                start[np.ix_(here[same], new)] = earlier[np.ix_(there[nearest[same]], old)]
+        return start
