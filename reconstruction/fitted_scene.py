@@ -55,7 +55,7 @@ class FittedScene:
 
     rng: draws the samples, and is used up by them. given: an observation that was made before, so that
     several scenes of one frame share it. further: more views of the scene, their poses in the same world;
-    track: equal label numbers are the same object in all of them. before: a map of fewer views, to start from.
+    track: equal label numbers are the same object in all of them. before: a map to start the fit from.
     """
 
     frame: Frame

@@ -45,7 +45,7 @@ def match(
     """For each view own label -> joint label, and what was matched otherwise than by number, a line each.
 
     Joint labels are the first view's; a new object keeps its number where that is free. track: equal numbers
-    are the same object in all frames. numbers: of the views; settled: so many of them have joint labels already.
+    are the same object in all frames. numbers: of the views; settled: so many of them have joint labels.
     """
     joint: dict[int, list[tuple[int, ObservedObject]]] = {}
     found: list[dict[int, int]] = []

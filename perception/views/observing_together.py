@@ -33,8 +33,9 @@ def observe_together(
     """Clean frames of one scene and express them in the table frame of the first that shows a support.
 
     track: equal label numbers are the same object in all frames; else names must agree too, or the place
-    decides. known: views of the scene that were observed before; their labels and table frame stay. Views that
-    contradict the others are left out, and named in the notes. Raises FrameError when no frame shows an object.
+    decides. known: views of the scene that were observed before; their labels and table frame stay. Views
+    that contradict the others are left out, and named in the notes. Raises FrameError when no frame shows an
+    object.
     """
     config = config or PerceptionConfig()
     kept = [(view.number, view.frame, view.observation) for view in known]
@@ -69,9 +70,7 @@ def observe_together(
     views = _views(kept, placed, labels)
     poses = [frame.camera.T_world_camera for _, frame, _ in kept]
     if len(poses) > 1 and all(np.array_equal(pose, poses[0]) for pose in poses):
-        notes.append(
-            "all views have one camera pose: does T_world_camera miss, or did the camera stand still?"
-        )
+        notes.append("all views have one camera pose: is T_world_camera missing?")
     for view in [view for view in views if view.number > last]:
         notes += [f"view {view.number}: {note}" for note in view.observation.notes]
     views, found = _agreeing(views, config)
