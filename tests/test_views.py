@@ -102,18 +102,10 @@ def test_further_views_help() -> None:
 
 
 def test_the_order_of_views_does_not_matter() -> None:
-    a, b = mapped(0, 1, 2, 3), mapped(3, 1, 0, 2)
-    for label in (1, 2, 3, 4):
-        true = truth(label)
-        low, high = true.mesh.bounds
-        grid = np.stack(np.meshgrid(*(np.arange(u - 0.02, v + 0.02, 0.005) for u, v in zip(low, high))), -1)
-        points = grid.reshape(-1, 3).astype(np.float32)
-        inside = true.inside(points)
-        scores = []
-        for result in (a, b):
-            found = Solid(result[label].mesh).inside(points)
-            scores.append((found & inside).sum() / (found | inside).sum())
-        assert abs(scores[0] - scores[1]) < 0.03  # objects of 12 nodes a side
+    a, b = mapped(0, 1), mapped(1, 0)
+    for item in a:
+        np.testing.assert_allclose(b[item.label].mesh.bounds, item.mesh.bounds, atol=1e-5)
+        assert b[item.label].mesh.volume == pytest.approx(item.mesh.volume, rel=1e-3)
 
 
 def test_one_view_twice_changes_little() -> None:
@@ -142,7 +134,7 @@ def test_free_for_one_ray_is_free() -> None:
 
 
 def test_a_point_of_an_object_has_its_pixel_in_the_stacked_image() -> None:
-    joint = observe_together([views(2)[0], make_tabletop(eye=EYES[1], size=(128, 96)).frame])
+    joint = observe_together([views(2)[0], make_tabletop(eye=EYES[1], size=(128, 96)).frame], ordered=True)
     assert joint.depth.shape == (120 + 96, 160)
     for item in joint.objects:
         assert (joint.labels.reshape(-1)[item.pixels] == item.label).all()
@@ -172,11 +164,14 @@ def test_tracked_numbers_are_taken_at_their_word() -> None:
 @pytest.mark.parametrize("which", [0, 2])
 def test_a_wrong_pose_is_said_and_left_out(which: int) -> None:
     frames = list(views(5))
-    frames[which] = shifted(frames[which], 0.0, 0.02, 0.0)
+    frames[which] = shifted(frames[which], 0.0, 0.02, 0.01)
     joint = observe_together(frames)
-    assert [view.number for view in joint.views] == [n + 1 for n in range(5) if n != which]
+    assert sorted(view.number for view in joint.views) == [n + 1 for n in range(5) if n != which]
     (note,) = [note for note in joint.notes if "contradicts" in note]
     assert note.startswith(f"view {which + 1} ")
+    for item in joint.objects:  # not the wrong view's table
+        assert abs(item.floor) < 0.002
+        assert item.bounds[0][2] < 0.02
     assert not [note for note in observe_together(views(5)).notes if "contradicts" in note]
 
 
@@ -191,7 +186,8 @@ def test_a_moved_object_is_said_and_its_old_place_forgotten() -> None:
     assert "2 sphere_2" in note
     assert len(joint.views) == 4
     moved = next(item for item in joint.objects if item.label == 2)
-    centre = joint.T_table_camera @ np.linalg.inv(frames[0].camera.T_world_camera) @ [-0.02, -0.10, 0.04, 1]
+    T_table_world = joint.T_table_camera @ np.linalg.inv(joint.views[0].frame.camera.T_world_camera)
+    centre = T_table_world @ [-0.02, -0.10, 0.04, 1]
     assert np.linalg.norm(np.mean(moved.bounds, axis=0) - centre[:3]) < 0.02
 
 
@@ -217,7 +213,7 @@ def test_views_from_the_command_line(
     out = tmp_path / "result"
     assert main(["map", *folders, "--together", "--out", str(out)]) == 0
     stored, result = load_result(out), mapped(0, 1)
-    assert [view["number"] for view in stored.scene["views"]] == [1, 2]
+    assert sorted(view["number"] for view in stored.scene["views"]) == [1, 2]
     rng = np.random.default_rng(0)
     points = rng.uniform((-0.2, -0.2, 0.0), (0.2, 0.2, 0.25), (500, 3))
     assert (stored.query(points).label == result.query(points).label).mean() > 0.97
@@ -226,10 +222,12 @@ def test_views_from_the_command_line(
     assert "several frames" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_an_update_is_the_map_of_all_views() -> None:
     updated = mapped(0, 1, 2).update(views(5)[3])
     whole = mapped(0, 1, 2, 3)
-    assert [view.number for view in updated.observation.views] == [1, 2, 3, 4]
+    assert sorted(view.number for view in updated.observation.views) == [1, 2, 3, 4]
+    assert updated.observation.views[-1].number == 4
     for item in whole:
         apart = Solid(updated[item.label].mesh).distance(item.mesh.sample(800, seed=0))
         assert np.mean(apart) < 0.001

@@ -29,53 +29,76 @@ def observe_together(
     seed: int = 0,
     track: bool = False,
     known: Sequence[View] = (),
+    ordered: bool = False,
 ) -> JointObservation:
-    """Clean frames of one scene and express them in the table frame of the first that shows a support.
+    """Clean frames of one scene and express them in the table frame of one that shows a support.
 
     track: equal label numbers are the same object in all frames; else names must agree too, or the place
-    decides. known: views of the scene that were observed before; their labels and table frame stay. Views
+    decides. known: views of the scene that were observed before; their labels and table frame stay. ordered:
+    the first frame leads; by default the poses decide, so that the order of frames changes nothing. Views
     that contradict the others are left out, and named in the notes. Raises FrameError when no frame shows an
     object.
     """
     config = config or PerceptionConfig()
     kept = [(view.number, view.frame, view.observation) for view in known]
-    notes, reasons = [], []
+    notes = []
     last = max((view.number for view in known), default=0)
     for number, frame in enumerate(frames, last + 1):
         try:
             kept.append((number, frame, observe(frame, config, seed)))
         except FrameError as error:
-            reasons.append(f"view {number}: left out: {error}")
+            notes.append(f"view {number}: left out: {error}")
     if not kept:
-        raise FrameError("no view shows an object to map (" + "; ".join(reasons) + ")")
-    notes += reasons
-    if not known:
-        kept.sort(key=lambda entry: entry[2].support is None)  # stable: the first with a support leads
-    first_frame, first = kept[0][1:]
-    T_world_table = first_frame.camera.T_world_camera @ np.linalg.inv(first.T_table_camera)
-    to_table = np.linalg.inv(T_world_table)
-    placed = [
-        moved(observation, to_table @ frame.camera.T_world_camera, first.levels)
-        for _, frame, observation in kept
-    ]
-    labels, found = match(
-        [frame for _, frame, _ in kept],
-        placed,
-        [Space.of(one, config) for one in placed],
-        track,
-        [number for number, _, _ in kept],
-        len(known),
-    )
-    notes += found
-    views = _views(kept, placed, labels)
+        raise FrameError("no view shows an object to map (" + "; ".join(notes) + ")")
     poses = [frame.camera.T_world_camera for _, frame, _ in kept]
     if len(poses) > 1 and all(np.array_equal(pose, poses[0]) for pose in poses):
         notes.append("all views have one camera pose: is T_world_camera missing?")
-    for view in [view for view in views if view.number > last]:
-        notes += [f"view {view.number}: {note}" for note in view.observation.notes]
-    views, found = _agreeing(views, config)
-    skipped = _skipped(kept, {label for view in views for label in view.labels})
-    return join(views, [*notes, *found], skipped)
+    settled = len(known)
+    while True:
+        ranks = [_rank(*entry[1:], ordered or settled > 0) for entry in kept]
+        lead = min(range(len(kept)), key=lambda index: ranks[index])
+        views, found = _placed(kept, kept[0 if settled else lead], config, track, settled)
+        agreeing, left = _agreeing(views, config)
+        there = {view.number for view in agreeing}
+        if settled or kept[lead][0] in there:
+            break
+        # All places were those of a view that is wrong.
+        notes += [line for line in left if line.startswith(f"view {kept[lead][0]} ")]
+        del kept[lead]
+    for view in views:
+        if view.number > last:
+            notes += [f"view {view.number}: {note}" for note in view.observation.notes]
+    if not settled:
+        rank = {entry[0]: own for entry, own in zip(kept, ranks)}
+        agreeing.sort(key=lambda view: rank[view.number])
+    skipped = _skipped(kept, {label for view in agreeing for label in view.labels})
+    return join(agreeing, [*notes, *found, *left], skipped)
+
+
+def _rank(frame: Frame, observation: Observation, ordered: bool) -> tuple[float, ...]:
+    """Views of the least rank come first: those with a support, then by pose unless they are ordered."""
+    pose = () if ordered else tuple(frame.camera.T_world_camera[:3].round(6).ravel().tolist())
+    return (float(observation.support is None), *pose)
+
+
+def _placed(
+    kept: Sequence[tuple[int, Frame, Observation]],
+    lead: tuple[int, Frame, Observation],
+    config: PerceptionConfig,
+    track: bool,
+    settled: int,
+) -> tuple[list[View], list[str]]:
+    """All views in the table frame of one of them, under joint labels, and how these were found."""
+    T_world_table = lead[1].camera.T_world_camera @ np.linalg.inv(lead[2].T_table_camera)
+    to_table = np.linalg.inv(T_world_table)
+    placed = [
+        moved(observation, to_table @ frame.camera.T_world_camera, lead[2].levels)
+        for _, frame, observation in kept
+    ]
+    spaces = [Space.of(one, config) for one in placed]
+    numbers, frames = [entry[0] for entry in kept], [entry[1] for entry in kept]
+    labels, found = match(frames, placed, spaces, track, numbers, settled)
+    return _views(kept, placed, labels), found
 
 
 def observe_again(
@@ -89,7 +112,7 @@ def observe_again(
     if len(frames) == 1:
         observation = observe(frames[0], config, seed)
         return replace(observation, T_table_camera=to_table @ frames[0].camera.T_world_camera)
-    joint = observe_together(frames, config, seed, track=True)
+    joint = observe_together(frames, config, seed, track=True, ordered=True)
     views = tuple(
         replace(
             view,
