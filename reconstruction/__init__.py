@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from reconstruction.config import PipelineConfig, preset
     from reconstruction.files.result_folder import save_reconstruction
     from reconstruction.files.stored import load_result
-    from reconstruction.next_view import next_view
+    from reconstruction.looking import next_view
     from reconstruction.result import Reconstruction
     from reconstruction.scene import reconstruct
 
@@ -17,7 +17,7 @@ _HOME = {
     "PipelineConfig": "reconstruction.config",
     "Reconstruction": "reconstruction.result",
     "load_result": "reconstruction.files.stored",
-    "next_view": "reconstruction.next_view",
+    "next_view": "reconstruction.looking",
     "preset": "reconstruction.config",
     "reconstruct": "reconstruction.scene",
     "save_reconstruction": "reconstruction.files.result_folder",

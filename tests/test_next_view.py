@@ -13,7 +13,7 @@ from mapping.errors import ConfigError
 from perception.camera import Camera, invert_rigid
 from reconstruction import reconstruct
 from reconstruction.files import result_folder
-from reconstruction.next_view import UncertainSpace, next_view, poses_around
+from reconstruction.looking import UncertainSpace, next_view, poses_around
 from reconstruction.result import Reconstruction
 from tools.cli import main
 
@@ -76,3 +76,14 @@ def test_look_from_the_command_line(
     np.testing.assert_allclose([pose["gain"] for pose in written["poses"]], found.gains, atol=0.02)
     assert f"next view: pose {found.best}" in capsys.readouterr().out
     assert main(["look", str(folder), "--candidates", "0"]) == 2
+
+
+def test_the_public_name_is_the_function() -> None:
+    import contramap
+    import reconstruction
+
+    assert reconstruction.next_view is next_view
+    assert contramap.next_view is next_view
+    from reconstruction import next_view as again
+
+    assert again is next_view

@@ -30,7 +30,7 @@ def look(
 
     from mapping.guarded_files import read_json
     from reconstruction.files.stored import load_result
-    from reconstruction.next_view import next_view, poses_around
+    from reconstruction.looking import next_view, poses_around
     from tools.options import write_json
 
     if candidates < 1:
