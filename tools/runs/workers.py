@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 import signal
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
+from multiprocessing.reduction import ForkingPickler
 from typing import Any, Generic, TypeVar
 
 from mapping.errors import DataError
@@ -153,7 +155,9 @@ def _finished(busy: list[_Worker], pool: list[_Worker]) -> Iterator[Done]:
 def _start(context: Any, function: Callable, threads: int, pool: list[_Worker]) -> _Worker:
     ours, theirs = context.Pipe()
     with process_environment(worker_environment(threads)):
-        process = context.Process(target=_serve, args=(function, theirs, os.getpid()), daemon=True)
+        # As bytes: the seconds that a function's imports take come after the worker is bound to its parent.
+        content = bytes(ForkingPickler.dumps(function))
+        process = context.Process(target=_serve, args=(content, theirs, os.getpid()), daemon=True)
         process.start()
     theirs.close()
     pool.append(_Worker(process, ours))
@@ -175,10 +179,11 @@ def _remove(worker: _Worker, pool: list[_Worker]) -> None:
     worker.process.join()
 
 
-def _serve(function: Callable, connection: Connection, parent: int) -> None:
+def _serve(content: bytes, connection: Connection, parent: int) -> None:
     """Runs in the worker: tasks in, answers out, until there are no more."""
     end_with_parent(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; the parent says what to do
+    function = pickle.loads(content)
     while True:
         try:
             task = connection.recv()
