@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
 from dataclasses import dataclass, fields
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
 from mapping.errors import FrameError
+from mapping.files import temporary_beside
 from mapping.samples import shift_along_rays
 from perception.camera import transform
 from perception.observing import observe
@@ -24,6 +22,7 @@ from reconstruction.prior.occlusion_prior import lattice_coordinates, point_chan
 from reconstruction.prior.revolution import Revolution
 from sim_scenes.training.scenes import TrainingScene, inside, make_training_scene
 from sim_scenes.training.shapes import TrainingShape
+from tools.runs.workers import map_in_workers
 
 QUERIES = 1280
 """Points with truth kept of each object."""
@@ -106,13 +105,8 @@ def make_examples(
 
     one = partial(_examples_of, draw, seed)
     parts: list[dict[str, np.ndarray]] = []
-    with ExitStack() as stack:
-        todo: Callable = partial(map, one)
-        if workers > 1:
-            # A fresh process each: a fork of one that has used torch's threads can hang.
-            pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
-            todo = partial(stack.enter_context(pool).map, one, chunksize=4)
-        bar = stack.enter_context(tqdm(total=scenes, desc=progress, mininterval=5))
+    todo: Callable = partial(map, one) if workers == 1 else partial(map_in_workers, one, workers=workers)
+    with tqdm(total=scenes, desc=progress, mininterval=5) as bar:
         for first in range(0, scenes, PART):
             indices = range(first, min(first + PART, scenes))
             file = cache and cache / f"scenes_{first}_{indices[-1]}.npz"
@@ -131,9 +125,8 @@ def make_examples(
             parts.append({name: np.stack(column) for name, column in zip(names, zip(*rows))})
             if file is not None:
                 file.parent.mkdir(parents=True, exist_ok=True)
-                temporary = file.with_name(file.name + ".tmp.npz")
-                np.savez(temporary, **parts[-1])  # type: ignore[arg-type]
-                temporary.rename(file)
+                with temporary_beside(file) as unfinished, unfinished.open("wb") as stream:
+                    np.savez(stream, **parts[-1])  # type: ignore[arg-type]
     return Examples(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
 
 
