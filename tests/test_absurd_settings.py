@@ -103,11 +103,11 @@ def test_an_absurd_setting_is_one_line_that_names_what_is_valid(
     ],
 )
 def test_absurd_flags_are_one_line(
-    words: list[str], valid: str, tmp_path: Path, capsys: Any, labelled: Frame
+    words: list[str], valid: str, tmp_path: Path, capsys: Any, tabletop_frame: Frame
 ) -> None:
     from perception import save_frame
 
-    save_frame(labelled, tmp_path / "frame")
+    save_frame(tabletop_frame, tmp_path / "frame")
     assert main(["map", str(tmp_path / "frame"), "--out", str(tmp_path / "out"), *words]) == 2
     said = capsys.readouterr().err.strip()
     assert "\n" not in said

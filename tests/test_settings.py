@@ -68,7 +68,7 @@ ALL = [("tabletop", name) for name, _ in leaves(TABLETOP)] + [
 NO_RESULT = {
     "map.device": "where the same numbers are worked out; see test_an_unknown_device_is_refused",
     "samples.radius_share": "acts on objects wider than 25 cm; see tests/test_object_room.py",
-    "mesh.smallest_part": "drops parts that nobody saw; see tests/test_reconstruct.py",
+    "mesh.smallest_part": "drops parts that nobody saw; these scenes have none",
     "perception.segment_reach": "chooses among planes of an unlabelled frame with several tables",
 }
 """Settings that are not to change this frame's result, and why."""
