@@ -147,8 +147,11 @@ class FittedScene:
             points = self.observation.objects[index].points
             return extract_mesh(self.field, index, self.config.mesh, points, self.seen)
 
-        extracted = map_in_threads(extract, range(len(self.observation.objects)))
-        return [found and Surface(*found) for found in extracted]
+        # The largest first: no thread is to start with one when the others have ended.
+        sizes = [odds.size for odds in self.field.log_odds]
+        order = sorted(range(len(self.observation.objects)), key=lambda index: -sizes[index])
+        extracted = dict(zip(order, map_in_threads(extract, order)))
+        return [found and Surface(*found) for _, found in sorted(extracted.items())]
 
     @cached_property
     def other(self) -> Surface | None:

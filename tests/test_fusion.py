@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from conftest import Shape, make_tabletop
+from scipy import ndimage
 from solids import reconstructed_tabletop
 
 from perception.camera import Camera
@@ -18,7 +19,8 @@ from reconstruction.scene import reconstruct
 from reconstruction.surface.agreement import agreement_with_depth
 from reconstruction.surface.field import Field, window_of
 from reconstruction.surface.meshing import extract_mesh
-from reconstruction.surface.neighbours import upsample
+from reconstruction.surface.neighbours import beside, closed, nodes_of_cells, range_in_cells, upsample
+from reconstruction.surface.seen_cells import CORNERS
 from reconstruction.surface.seen_surface import FAR, SeenSurface
 from reconstruction.surface.smooth_depth import surface_planes
 from tools.evaluation.handles import handles_and_parts
@@ -153,3 +155,25 @@ def test_upsampling_is_linear() -> None:
     assert fine.shape == (7, 10, 13)
     where = np.stack(np.meshgrid(*(np.arange(n) / 3 for n in fine.shape), indexing="ij"))
     np.testing.assert_allclose(fine, 2 * where[0] - where[1] + 0.5 * where[2] + 1, atol=1e-5)
+
+
+@pytest.mark.parametrize("shape", [(7, 5, 6), (2, 9, 3)])
+def test_neighbours_on_the_flat_array_are_those_of_the_lattice(shape: tuple[int, int, int]) -> None:
+    """Nothing is carried over from one row to the next, on borders either."""
+    rng = np.random.default_rng(0)
+    nodes, values = rng.random(shape) < 0.2, rng.normal(size=shape).astype(np.float32)
+    cube, cross = np.ones((3, 3, 3), bool), ndimage.generate_binary_structure(3, 1)
+    assert np.array_equal(beside(nodes), ndimage.binary_dilation(nodes, cube))
+    assert np.array_equal(beside(nodes, corners=False), ndimage.binary_dilation(nodes, cross))
+    assert np.array_equal(closed(values), ndimage.grey_closing(values, 3))
+    corners = [
+        values[i : shape[0] - 1 + i, j : shape[1] - 1 + j, k : shape[2] - 1 + k] for i, j, k in CORNERS
+    ]
+    least, greatest = range_in_cells(values)
+    assert np.array_equal(least, np.min(corners, axis=0))
+    assert np.array_equal(greatest, np.max(corners, axis=0))
+    cells, whole = nodes[1:, 1:, 1:], np.ones((3, 3, 3), bool)
+    expected = np.zeros([2 * n - 1 for n in shape], bool)
+    for i, j, k in np.argwhere(cells):
+        expected[2 * i : 2 * i + 3, 2 * j : 2 * j + 3, 2 * k : 2 * k + 3] = whole
+    assert np.array_equal(nodes_of_cells(cells, 2), expected)

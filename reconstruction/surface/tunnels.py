@@ -22,6 +22,10 @@ PLACES = ((ROWS[:, 0] + 1) * 16 + (ROWS[:, 1] + 1) * 4).astype(np.uint64)
 shifts from running into the next one."""
 MIDDLE = np.uint64(1 << 21)
 """The node itself in such a word."""
+MOST_KNOWN = 200_000
+"""So many neighbourhoods are kept, with whether their empty nodes are in one piece: 20 MB."""
+_KNOWN: dict[int, bool] = {}
+"""Fronts are short and look alike, in one object as in the next: most neighbourhoods were met before."""
 ONE, FOUR, SIXTEEN = np.uint64(1), np.uint64(4), np.uint64(16)
 
 
@@ -50,10 +54,20 @@ def membranes(solid: np.ndarray, loose: np.ndarray, log_odds: np.ndarray) -> np.
 
     def around(nodes: np.ndarray) -> np.ndarray:
         """The empty nodes around nodes (M,), as words (M,) of bits."""
-        words = np.zeros(len(nodes), np.uint64)
-        for step, place in zip(steps, PLACES):
-            words |= rows[nodes + step].astype(np.uint64) << place
-        return words & ~MIDDLE
+        words = rows.take(nodes[:, None] + steps).astype(np.uint64) << PLACES
+        return np.bitwise_or.reduce(words, axis=1) & ~MIDDLE
+
+    def simple(nodes: np.ndarray) -> np.ndarray:
+        """Which nodes (M,) have empty nodes around them in one piece."""
+        words = around(nodes).tolist()
+        found = [_KNOWN.get(word) for word in words]
+        if None in found:
+            unknown = list({word for word, known in zip(words, found) if known is None})
+            new = dict(zip(unknown, in_one_piece(np.array(unknown, np.uint64)).tolist()))
+            found = [new[word] if known is None else known for word, known in zip(words, found)]
+            if len(_KNOWN) < MOST_KNOWN:
+                _KNOWN.update(new)
+        return np.array(found, bool)
 
     for level in LEVELS:
         # Anew for each level: emptying a node may have freed one that is no direct neighbour.
@@ -65,7 +79,7 @@ def membranes(solid: np.ndarray, loose: np.ndarray, log_odds: np.ndarray) -> np.
             classes = of_class[front]
             for number in range(8):
                 nodes = front[classes == number]
-                nodes = nodes[in_one_piece(around(nodes))]
+                nodes = nodes[simple(nodes)]
                 left[nodes] = False
                 rows[nodes] |= 2
                 rows[nodes - 1] |= 4
