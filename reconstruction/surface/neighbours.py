@@ -25,16 +25,13 @@ def beside(nodes: np.ndarray, corners: bool = True) -> np.ndarray:
 
 def range_in_cells(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Least and greatest value at the nodes of each cell (nx - 1, ny - 1, nz - 1)."""
-    least = greatest = values.reshape(-1)
-    for step in _steps(values):
-        least = np.minimum(least[:-step], least[step:])
-        greatest = np.maximum(greatest[:-step], greatest[step:])
-    x, y, z = values.shape
-    cells, missing = (slice(None, -1),) * 3, values.size - len(least)
-    least, greatest = (
-        np.append(found, found[:missing]).reshape(x, y, z)[cells] for found in (least, greatest)
-    )
-    return least, greatest
+    found = []
+    for best in (np.minimum, np.maximum):
+        flat = values.reshape(-1).copy()
+        for step in _steps(values):  # the last nodes, beyond which there are none, are cut off below
+            flat[:-step] = best(flat[:-step], flat[step:])
+        found.append(flat.reshape(values.shape)[:-1, :-1, :-1])
+    return found[0], found[1]
 
 
 def closed(values: np.ndarray) -> np.ndarray:
