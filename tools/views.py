@@ -252,7 +252,7 @@ def of_tsdf(scene: ManyViews, frames: Sequence[Frame]) -> tuple[dict[int, Answer
 
     joint = observe_together(frames)
     view = View(joint.views[0].frame, joint, space_of(joint))
-    T_world_table = frames[0].camera.T_world_camera @ invert_rigid(joint.T_table_camera)
+    T_world_table = view.frame.camera.T_world_camera @ invert_rigid(joint.T_table_camera)
     answers = {}
     for item, surface in zip(joint.objects, FittedTsdf(view).meshes(view)):
         if surface is not None:
