@@ -98,3 +98,19 @@ def test_random_solids_lose_all_tunnels_through_hidden_space() -> None:
     assert genus(whole) == 0
     # With everything hidden, empty space is one piece without loops, whatever the solid's parts.
     assert genus(closed) <= 0
+
+
+def test_surfaces_do_not_intersect_themselves() -> None:
+    import open3d
+
+    noise = ndimage.gaussian_filter(np.random.default_rng(1).normal(size=(10, 10, 10)), 1.0).astype(
+        np.float32
+    )
+    found = closed_surface(noise, 0.0)
+    assert found is not None
+    vertices, faces = found
+    mesh = open3d.geometry.TriangleMesh(
+        open3d.utility.Vector3dVector(vertices), open3d.utility.Vector3iVector(faces)
+    )
+    assert len(faces) > 300
+    assert not mesh.is_self_intersecting()
