@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from mapping.errors import ConfigError
 from tools.evaluation.job import Job, run_job
+from tools.runs.signals import handlers_kept
 from tools.runs.workers import CRASHED, run_in_workers, worker_environment
 
 Failures = list[dict[str, str]]
@@ -54,7 +55,8 @@ def run_ray(jobs: Sequence[Job], workers: int, finished: Finished, address: str 
     started = not ray.is_initialized()
     if started:
         local = {"num_cpus": workers, "include_dashboard": False} if address is None else {"address": address}
-        ray.init(**local, log_to_driver=False, logging_level=logging.ERROR)
+        with handlers_kept():
+            ray.init(**local, log_to_driver=False, logging_level=logging.ERROR)
     try:
         environment = {"env_vars": worker_environment(threads)}
         remote = ray.remote(num_cpus=1, max_retries=0, runtime_env=environment)(run_job)

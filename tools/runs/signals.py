@@ -20,6 +20,19 @@ class Stopped(BaseException):
 
 
 @contextmanager
+def handlers_kept() -> Iterator[None]:
+    """Handlers that a library sets inside are undone: Ray's own prints a stack instead of one line."""
+    known = [getattr(signal, name) for name in NAMES if hasattr(signal, name)]
+    before = {number: signal.getsignal(number) for number in known}
+    try:
+        yield
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+@contextmanager
 def stopped_by_signals() -> Iterator[None]:
     """SIGTERM and SIGHUP raise Stopped inside, once, so that `finally` clauses run.
 

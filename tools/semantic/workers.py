@@ -11,6 +11,7 @@ from functools import partial
 
 from mapping.errors import ConfigError, DataError
 from mapping.threads import thread_count
+from tools.runs.signals import handlers_kept
 from tools.runs.workers import run_in_workers
 from tools.semantic.tiles import Job
 
@@ -60,7 +61,10 @@ def _on_ray(task: Task, job: Job, tiles: list[Tile], workers: int, done: Callabl
         raise ConfigError("--engine ray needs ray: pip install 'contramap[cluster]'") from error
     started = not ray.is_initialized()
     if started:
-        ray.init(num_cpus=workers, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
+        with handlers_kept():
+            ray.init(
+                num_cpus=workers, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR
+            )
     try:
         remote = ray.remote(num_cpus=1, max_retries=RETRIES)(task)
         running = [remote.remote(job, tile) for tile in tiles]
