@@ -21,6 +21,7 @@ import tyro
 from mapping.errors import ConfigError
 from perception.camera import Camera, invert_rigid
 from perception.frame import Frame
+from tools.evaluation.unions import SAMPLES, iou_of_union, surface_of_union
 from tools.exit_code import exit_code
 
 if TYPE_CHECKING:
@@ -29,10 +30,6 @@ if TYPE_CHECKING:
 
 LEAST_PIXELS = 200
 """Objects that show fewer pixels in the first view are not judged."""
-FINEST = 0.0025
-"""Grid of the IoU [m]."""
-SAMPLES = 10_000
-"""Points drawn on each surface."""
 CARD_SPACING = 0.01
 """Voxels on which p(uncertain) is to tell occluded from seen space [m]."""
 CARD_RADIUS = 0.15
@@ -191,34 +188,6 @@ def judge(scene: ManyViews, method: str, frames: Sequence[Frame]) -> list[dict[s
             }
         rows.append(row)
     return rows
-
-
-def surface_of_union(parts: Sequence[trimesh.Trimesh], rng: np.random.Generator) -> np.ndarray:
-    """About SAMPLES points (N, 3) on the surface of the union of closed meshes."""
-    from reconstruction.metrics import sample_surface
-    from reconstruction.solid import Solid
-
-    areas = np.array([part.area for part in parts])
-    points = []
-    for index, (part, area) in enumerate(zip(parts, areas)):
-        of_one = sample_surface(part, max(1, int(SAMPLES * area / areas.sum())), rng)
-        for other, hider in enumerate(parts):
-            if other != index:
-                of_one = of_one[~Solid(hider).inside(of_one.astype(np.float32))]
-        points.append(of_one)
-    return np.concatenate(points)
-
-
-def iou_of_union(parts: Sequence[trimesh.Trimesh], true: Solid) -> float:
-    """IoU of the union of closed meshes with the true shape on a grid of FINEST."""
-    from reconstruction.metrics import iou
-    from reconstruction.solid import Solid
-
-    lows, highs = zip(*(mesh.bounds for mesh in (*parts, true.mesh)))
-    axes = [np.arange(a + FINEST / 2, b, FINEST) for a, b in zip(np.min(lows, 0), np.max(highs, 0))]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3).astype(np.float32)
-    inside = np.any([Solid(part).inside(grid) for part in parts], axis=0)
-    return iou(inside, true.inside(grid))
 
 
 def of_contramap(scene: ManyViews, frames: Sequence[Frame]) -> tuple[dict[int, Answer], float]:

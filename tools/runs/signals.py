@@ -29,7 +29,8 @@ def handlers_kept() -> Iterator[None]:
     finally:
         if threading.current_thread() is threading.main_thread():
             for number, handler in before.items():
-                signal.signal(number, handler)
+                if handler is not None:  # None: set by other code than Python's, which cannot be put back
+                    signal.signal(number, handler)
 
 
 @contextmanager
