@@ -3,26 +3,14 @@
 import numpy as np
 import pytest
 import torch
+from blobs import blobs
 
 from mapping.kernels import dense_features
-
-CLASSES = 4
 
 
 @pytest.fixture(scope="module", params=[2, 3])
 def data(request):
-    """Three blobs and noise in d dimensions: X (N, d), y (N,), hinge lattice (H, d)."""
-    dimensions = request.param
-    rng = np.random.default_rng(3)
-    centres = rng.uniform(-0.1, 0.1, (CLASSES - 1, dimensions))
-    X = np.concatenate(
-        [rng.normal(c, 0.03, (150, dimensions)) for c in centres] + [rng.uniform(-0.2, 0.2, (60, dimensions))]
-    ).astype(np.float32)
-    X = X.clip(-0.22, 0.22)  # all within reach of the hinge points
-    y = np.repeat(np.arange(CLASSES), [150, 150, 150, 60])
-    axis = np.arange(-0.2, 0.21, 0.08)
-    hinges = np.stack(np.meshgrid(*[axis] * dimensions, indexing="ij"), -1).reshape(-1, dimensions)
-    return X, y, hinges.astype(np.float32)
+    return blobs(request.param)
 
 
 def test_sparse_features_agree_with_dense(data):

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import trimesh
 from conftest import make_tabletop
 from solids import reconstructed_tabletop, true_meshes
 
@@ -26,14 +25,6 @@ def frame():
 @pytest.fixture(scope="module")
 def result():
     return reconstructed_tabletop()
-
-
-def farthest(a: trimesh.Trimesh, b: trimesh.Trimesh) -> float:
-    """Largest distance [m] of a vertex of one mesh from the other's vertices, both ways."""
-    from scipy.spatial import cKDTree
-
-    there = cKDTree(b.vertices).query(a.vertices)[0].max()
-    return float(max(there, cKDTree(a.vertices).query(b.vertices)[0].max()))
 
 
 def test_seen_surface_is_certain_and_hidden_space_is_not(result):

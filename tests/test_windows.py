@@ -2,31 +2,14 @@
 
 import numpy as np
 import pytest
-import trimesh
-from conftest import make_tabletop
 from solids import reconstructed_tabletop
 
 from reconstruction.config import MeshConfig
-
-SIZE = (240, 180)
-
-
-@pytest.fixture(scope="module")
-def frame():
-    return make_tabletop(size=SIZE).frame
 
 
 @pytest.fixture(scope="module")
 def result():
     return reconstructed_tabletop()
-
-
-def farthest(a: trimesh.Trimesh, b: trimesh.Trimesh) -> float:
-    """Largest distance [m] of a vertex of one mesh from the other's vertices, both ways."""
-    from scipy.spatial import cKDTree
-
-    there = cKDTree(b.vertices).query(a.vertices)[0].max()
-    return float(max(there, cKDTree(a.vertices).query(b.vertices)[0].max()))
 
 
 def field_of(log_odds: np.ndarray):
