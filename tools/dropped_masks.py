@@ -2,7 +2,8 @@
 
 `python -m tools.dropped_masks --scenes SCENES --real ../shared/data/real_rgbd --json dropped.json` prints,
 over all drops, the share of the dropped objects' insides that is called free with p(uncertain) < 0.3, and the
-share of measured points that are called free.
+share of measured points that are called free. `--first` and `--limit` make it in pieces; `--add a.json b.json
+--table FILE` writes the table of all of them.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from json import loads
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,7 +23,7 @@ from mapping.files import write_atomically
 from perception.camera import invert_rigid, transform
 from perception.frame import Frame
 from tools.exit_code import exit_code
-from tools.provenance import with_provenance
+from tools.provenance import provenance, with_provenance
 
 if TYPE_CHECKING:
     from reconstruction.solid import Solid
@@ -48,11 +50,32 @@ class Drop:
     solid: Solid
 
 
+@dataclass(frozen=True)
+class Part:
+    """Which frames of each kind are looked at, and how many of their labels are dropped."""
+
+    first: int
+    limit: int
+    drops: int
+
+    def of(self, frames: list[Any]) -> list[Any]:
+        """The frames of this part."""
+        return frames[self.first : self.first + self.limit]
+
+    def labels(self, frame: Frame) -> list[int]:
+        """The labels to drop, spread evenly over those that are large enough."""
+        large = _large(frame)
+        return [large[index * len(large) // self.drops] for index in range(min(self.drops, len(large)))]
+
+
 def main(
     scenes: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     real: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     ycb: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    first: int = 0,
     limit: int = 1000,
+    drops: int = 1000,
+    add: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FILE")] = (),
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     table: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> None:
@@ -62,7 +85,10 @@ def main(
         scenes: Scenes with truth, as `contramap scenes` makes them.
         real: Published real frames; the inside of an object is that of its own mesh from the whole frame.
         ycb: Folder of YCB scans, for scenes made of them.
+        first: Frames of each kind passed over before the first that is looked at.
         limit: Frames of each kind looked at, at most.
+        drops: Labels dropped of each frame, at most, spread evenly over its labels.
+        add: Files written by --json before, whose drops are added to the table.
         json: Also write the figures to this file.
         table: Also write them as a markdown table to this file.
     """
@@ -70,18 +96,25 @@ def main(
 
     from tools.options import write_json
 
-    if scenes is None and real is None:
-        raise ConfigError("give --scenes DIR, --real DIR, or both")
-    rows = []
-    simulated = list(_simulated(scenes, ycb, limit)) if scenes else []
-    drops = [*simulated, *(_real(real, limit) if real else ())]
-    for number, drop in enumerate(tqdm(drops, desc="dropped masks")):
+    if scenes is None and real is None and not add:
+        raise ConfigError("give --scenes DIR, --real DIR, or both, or --add FILE")
+    if min(limit, drops) < 1 or first < 0:
+        raise ConfigError(
+            f"--limit and --drops are 1 or more, --first 0 or more; got {limit}, {drops}, {first}"
+        )
+    part = Part(first, limit, drops)
+    earlier = [_earlier(path) for path in add]
+    rows = [row for found, _ in earlier for row in found]
+    written_by = [line for _, lines in earlier for line in lines] + ([provenance()] if scenes or real else [])
+    simulated = list(_simulated(scenes, ycb, part)) if scenes else []
+    of_this_run = [*simulated, *(_real(real, part) if real else ())]
+    for number, drop in enumerate(tqdm(of_this_run, desc="dropped masks", disable=not of_this_run)):
         row = judge(drop)
         if row is not None:
             rows.append({"kind": "simulated" if number < len(simulated) else "real", **row})
     if not rows:
         raise DataError("no frame has two labels of which one can be dropped")
-    figures = {**summary(rows), "rows": rows}
+    figures = {**summary(rows), "written_by": written_by, "rows": rows}
     for row in sorted(rows, key=lambda row: -row["inside_free"])[:10]:
         print(
             f"{row['frame']:32.32} {row['label']:>4}  inside free {row['inside_free']:.2%}  "
@@ -95,7 +128,8 @@ def main(
     write_json(figures, json)
     if table is not None:
         write_atomically(
-            table, with_provenance("What a map says of a thing whose mask is missing", markdown(rows))
+            table,
+            with_provenance("What a map says of a thing whose mask is missing", markdown(rows, written_by)),
         )
 
 
@@ -110,20 +144,23 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def markdown(rows: list[dict[str, Any]]) -> str:
-    """Two tables: all drops of each kind, and the ten worst."""
+def markdown(rows: list[dict[str, Any]], written_by: list[str]) -> str:
+    """Two tables: all drops of each kind, and the ten worst; written_by: one line a piece."""
     lines = [
+        *(["The pieces:", "", *(f"- {line}" for line in written_by), ""] if len(written_by) > 1 else []),
         f"One label at a time is removed. Free: called empty with p(uncertain) < {SURE:g}.",
         "",
-        "| frames | drops | inside free, mean | largest | drops over 1 % | measured free, mean | largest | "
-        "inside called other obstacle |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+        "| kind | frames | drops | inside free, mean | largest | drops over 1 % | measured free, mean "
+        "| largest | inside called other obstacle |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for kind in dict.fromkeys(row["kind"] for row in rows):
-        of = summary([row for row in rows if row["kind"] == kind])
+        of_kind = [row for row in rows if row["kind"] == kind]
+        of = summary(of_kind)
         inside, measured = of["inside_free"], of["measured_free"]
+        frames = len({row["frame"] for row in of_kind})
         lines.append(
-            f"| {kind} | {of['drops']} | {inside['mean']:.2%} | {inside['largest']:.2%} | "
+            f"| {kind} | {frames} | {of['drops']} | {inside['mean']:.2%} | {inside['largest']:.2%} | "
             f"{of['over_1_percent']} | {measured['mean']:.3%} | {measured['largest']:.3%} | "
             f"{of['inside_other']:.0%} |"
         )
@@ -178,29 +215,39 @@ def judge(drop: Drop) -> dict[str, Any] | None:
     }
 
 
-def _simulated(scenes: Path, ycb: Path | None, limit: int) -> Iterator[Drop]:
+def _earlier(path: Path) -> tuple[list[dict[str, Any]], list[str]]:
+    """The rows of an earlier run and the lines that say where they come from. Raises DataError where a file
+    holds none."""
+    try:
+        figures = loads(path.read_text())
+        return list(figures["rows"]), list(figures["written_by"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise DataError(f"{path}: holds no drops ({error}); give files that --json wrote") from error
+
+
+def _simulated(scenes: Path, ycb: Path | None, part: Part) -> Iterator[Drop]:
     from perception import load_frame
     from reconstruction.solid import Solid
     from sim_scenes.truth import load_truth
 
-    for folder in sorted(path.parent for path in scenes.glob("*/truth.json"))[:limit]:
+    for folder in part.of(sorted(path.parent for path in scenes.glob("*/truth.json"))):
         truth = load_truth(folder, ycb)
         frame = load_frame(truth.views[0])
-        for label in _large(frame):
+        for label in part.labels(frame):
             if label in truth.meshes:
-                yield Drop(folder.name, frame, label, Solid(truth.meshes[label]))
+                yield Drop(f"{scenes.name}/{folder.name}", frame, label, Solid(truth.meshes[label]))
 
 
-def _real(data: Path, limit: int) -> Iterator[Drop]:
+def _real(data: Path, part: Part) -> Iterator[Drop]:
     from reconstruction import reconstruct
     from reconstruction.solid import Solid
     from tools.real_frames import load_clutter_frames, load_real_frames
 
     frames = [*load_real_frames(data), *load_clutter_frames(data)]
     several = [real for real in frames if real.frame.labels is not None and len(_large(real.frame)) > 1]
-    for real in several[:limit]:
+    for real in part.of(several):
         whole = {item.label: item for item in reconstruct(real.frame).objects}
-        for label in _large(real.frame):
+        for label in part.labels(real.frame):
             if label in whole:
                 yield Drop(real.name, real.frame, label, Solid(whole[label].mesh))
 
