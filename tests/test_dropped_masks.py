@@ -33,5 +33,5 @@ def test_pieces_make_one_table(tmp_path: Path) -> None:
     assert "| simulated | 2 | 2 | 1.00% | 2.00% | 1 |" in text
     assert "- piece a\n- piece b" in text
     (tmp_path / "b.json").write_text("{}")
-    with pytest.raises(DataError, match=r"b\.json: holds no drops"):
+    with pytest.raises(DataError, match=r"b\.json: holds no rows"):
         main(add=(tmp_path / "b.json",))

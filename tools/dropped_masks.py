@@ -11,7 +11,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from json import loads
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,6 +22,7 @@ from mapping.files import write_atomically
 from perception.camera import invert_rigid, transform
 from perception.frame import Frame
 from tools.exit_code import exit_code
+from tools.pieces import earlier, named_pieces
 from tools.provenance import provenance, with_provenance
 
 if TYPE_CHECKING:
@@ -103,9 +103,8 @@ def main(
             f"--limit and --drops are 1 or more, --first 0 or more; got {limit}, {drops}, {first}"
         )
     part = Part(first, limit, drops)
-    earlier = [_earlier(path) for path in add]
-    rows = [row for found, _ in earlier for row in found]
-    written_by = [line for _, lines in earlier for line in lines] + ([provenance()] if scenes or real else [])
+    rows, written_by = earlier(add)
+    written_by += [provenance()] if scenes or real else []
     simulated = list(_simulated(scenes, ycb, part)) if scenes else []
     of_this_run = [*simulated, *(_real(real, part) if real else ())]
     for number, drop in enumerate(tqdm(of_this_run, desc="dropped masks", disable=not of_this_run)):
@@ -147,7 +146,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 def markdown(rows: list[dict[str, Any]], written_by: list[str]) -> str:
     """Two tables: all drops of each kind, and the ten worst; written_by: one line a piece."""
     lines = [
-        *(["The pieces:", "", *(f"- {line}" for line in written_by), ""] if len(written_by) > 1 else []),
+        *named_pieces(written_by),
         f"One label at a time is removed. Free: called empty with p(uncertain) < {SURE:g}.",
         "",
         "| kind | frames | drops | inside free, mean | largest | drops over 1 % | measured free, mean "
@@ -213,16 +212,6 @@ def judge(drop: Drop) -> dict[str, Any] | None:
         "inside_other": float((found[0].label == -2).mean()),
         "measured_free": free[1],
     }
-
-
-def _earlier(path: Path) -> tuple[list[dict[str, Any]], list[str]]:
-    """The rows of an earlier run and the lines that say where they come from. Raises DataError where a file
-    holds none."""
-    try:
-        figures = loads(path.read_text())
-        return list(figures["rows"]), list(figures["written_by"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{path}: holds no drops ({error}); give files that --json wrote") from error
 
 
 def _simulated(scenes: Path, ycb: Path | None, part: Part) -> Iterator[Drop]:
