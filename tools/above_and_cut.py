@@ -171,7 +171,8 @@ def scores(result: Reconstruction | None, label: int, true: Solid) -> dict[str, 
     item = next((item for item in result.objects if item.label == label), None) if result else None
     if result is None or item is None:
         return {"iou": 0.0, "hover": float("nan"), "beyond_free": float("nan")}
-    points = np.random.default_rng(label).uniform(*true.mesh.bounds, (4000, 3))
+    low, high = true.mesh.bounds
+    points = np.random.default_rng(label).uniform(low, high, (4000, 3))
     points = points[true.inside(points)]
     camera = result.frame.camera
     beyond = points[~inside_image(camera, transform(invert_rigid(camera.T_world_camera), points))]
