@@ -67,6 +67,11 @@ def update(result: Reconstruction, frame: Frame, track: bool = False) -> Reconst
     seen = result.observation
     known = seen.views if isinstance(seen, JointObservation) else (View(result.frame, seen, 1),)
     joint = observe_together([frame], config.perception, result.seed, track, known)
+    if [view.number for view in joint.views] == [view.number for view in known]:
+        # The frame says nothing that may be believed: the map stays, and why is noted.
+        if not any("contradicts" in note for note in joint.notes):
+            raise FrameError("; ".join(joint.notes) or f"{frame.source}: shows no object to map")
+        return replace(result, notes=tuple(dict.fromkeys([*result.notes, *joint.notes])))
     before = Before(result.map, result.map_labels)
     scene = FittedScene(result.frame, config, generator(result.seed), result.seed, given=joint, before=before)
     updated = _clocked(scene)

@@ -22,6 +22,7 @@ from tools.semantic.command import semantic
 from tools.serve import serve
 from tools.serving.benchmark import serve_benchmark
 from tools.simulate import fetch_ycb, scenes
+from tools.stream import stream
 from tools.view import view
 
 # torch's OpenMP threads spin while they wait; on a busy machine that slows the fit's many short steps down
@@ -46,6 +47,7 @@ def reproduce() -> None:
 COMMANDS: dict[str, Command] = {
     "demo": demo,
     "map": map_frame,
+    "stream": stream,
     "view": view,
     "look": look,
     "occupancy": occupancy,

@@ -15,12 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import trimesh
 
 from mapping.folders import staged_folder
+from mapping.plain_json import plain
 from reconstruction.files.mesh_files import encode_obj, encode_ply, loads_closed
 from reconstruction.files.output_folder import (
     RECORDING,
@@ -46,18 +47,22 @@ def save_reconstruction(
     overwrite: bool = False,
     truth: Mapping[int, trimesh.Trimesh] | None = None,
     recording: bool = False,
+    stream: Mapping[str, Any] | None = None,
+    whole: bool = True,
 ) -> Path:
     """Write the result folder and return its path.
 
     Everything is built in a hidden folder beside it and renamed when complete; errors leave what was there.
     truth: label -> true mesh in the world frame, for the overview and the recording.
+    stream: what scene.json is to say of the frames that the map grew by; whole: with field.npz and
+    overview.png, which cost more time than a map's versions have that follow each other.
     Raises ConfigError when the folder holds something already (see check_output), DataError when
     writing fails.
     """
     folder = check_output(folder, overwrite)
     may_replace = (lambda: check_replaceable(folder)) if overwrite else None
     with staged_folder(folder, may_replace, last=SCENE) as partial:
-        _write(reconstruction, partial, truth, recording)
+        _write(reconstruction, partial, truth, recording, whole, stream)
     return folder
 
 
@@ -66,6 +71,8 @@ def _write(
     folder: Path,
     truth: Mapping[int, trimesh.Trimesh] | None,
     recording: bool,
+    whole: bool,
+    stream: Mapping[str, Any] | None,
 ) -> None:
     closed: dict[int, bool] = {}
     for item in reconstruction.objects:
@@ -82,14 +89,16 @@ def _write(
         (place / "mesh.ply").write_bytes(encode_ply(other.mesh, other.uncertainty))
         (place / "mesh.obj").write_bytes(encode_obj(other.mesh))
     reconstruction.map.save(folder / "map.npz")
-    _write_fields(reconstruction, folder / "field.npz")
     write_frame(reconstruction.frame, reconstruction.observation, folder)
-    draw_overview(reconstruction, folder / "overview.png", truth)
+    if whole:
+        _write_fields(reconstruction, folder / "field.npz")
+        draw_overview(reconstruction, folder / "overview.png", truth)
     if recording:
         from reconstruction.pictures.recording import record
 
         record(reconstruction, folder / RECORDING, truth)
-    scene = {**describe(reconstruction, closed), "files": written_files(folder)}
+    grown = {} if stream is None else {"stream": plain(dict(stream))}
+    scene = {**describe(reconstruction, closed), **grown, "files": written_files(folder)}
     (folder / SCENE).write_text(to_json(scene), encoding="utf-8")
 
 

@@ -58,6 +58,33 @@ def run_blueprint(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> Any:
     )
 
 
+def growing_blueprint(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> Any:
+    """Meshes in two colourings over the colour bar, the camera's image, p(uncertain) frame by frame and a
+    summary, with the timeline open, for maps that grow.
+
+    eye, target: (3,) [m] first viewpoint in the table frame; up: (3,).
+    """
+    import rerun.blueprint as rrb
+
+    shown = ("/world/camera", "/world/camera/rgb", *GUIDES)
+    spaces = rrb.Tabs(
+        _space("Uncertainty", ("/world/uncertainty/**", *shown), eye, target, up),
+        _space("Objects", ("/world/meshes/**", *shown), eye, target, up),
+        active_tab=0,
+    )
+    image = rrb.Spatial2DView(origin="/world/camera", contents=["/world/camera/rgb"], name="Frame")
+    plot = rrb.TimeSeriesView(
+        origin="/progress", name="Mean p(uncertain)", plot_legend=rrb.PlotLegend(visible=True)
+    )
+    summary = rrb.TextDocumentView(origin="/summary", name="Summary")
+    return rrb.Blueprint(
+        rrb.Horizontal(_over_colour_bar(spaces), rrb.Vertical(image, plot, summary), column_shares=[3, 2]),
+        rrb.TimePanel(timeline="frame", state="expanded", play_state="paused"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+    )
+
+
 def mesh_blueprint(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> Any:
     """Meshes in two colourings over the colour bar, and a summary, for results whose run was not recorded.
 

@@ -24,7 +24,9 @@ AXIS_RADIUS, BOX_RADIUS = 0.0015, 0.0007  # [m]
 BAR_WIDTH = 720  # [px]
 
 
-def log_boxes(stream: Any, objects: Iterable[ReconstructedObject | StoredObject]) -> None:
+def log_boxes(
+    stream: Any, objects: Iterable[ReconstructedObject | StoredObject], static: bool = True
+) -> None:
     """The upright box of each object, with its name, under world/boxes."""
     import rerun as rr
 
@@ -39,7 +41,7 @@ def log_boxes(stream: Any, objects: Iterable[ReconstructedObject | StoredObject]
             radii=BOX_RADIUS,
             fill_mode=rr.components.FillMode.MajorWireframe,
         )
-        stream.log(path, rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]), box, static=True)
+        stream.log(path, rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]), box, static=static)
 
 
 def log_axes(stream: Any, path: str, name: str) -> None:

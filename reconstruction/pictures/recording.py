@@ -21,7 +21,7 @@ summary                         text
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,12 +30,19 @@ import numpy as np
 import trimesh
 
 from mapping.errors import ConfigError
-from mapping.files import write_atomically
 from mapping.folders import check_writable
-from perception.camera import invert_rigid, transform
+from perception.camera import transform
 from reconstruction.files.scene_json import object_folder
-from reconstruction.pictures.blueprint import first_view, mesh_blueprint, run_blueprint
-from reconstruction.pictures.guides import log_axes, log_boxes, log_colour_bar, log_stages
+from reconstruction.pictures.blueprint import mesh_blueprint, run_blueprint
+from reconstruction.pictures.entities import (
+    log_table,
+    log_text,
+    mesh3d,
+    rerun_sdk,
+    save_stream,
+    view_of,
+)
+from reconstruction.pictures.guides import log_boxes, log_stages
 from reconstruction.pictures.near_origin import near_origin, shift_of, shifted_mesh, shifted_pose
 from reconstruction.pictures.palette import (
     EMPTY_COLOUR,
@@ -44,7 +51,7 @@ from reconstruction.pictures.palette import (
     object_colour,
     uncertainty_colours,
 )
-from reconstruction.pictures.slices import directions, slice_uncertainty
+from reconstruction.pictures.slices import slice_uncertainty
 from reconstruction.pictures.summary_text import run_summary, stored_summary
 
 if TYPE_CHECKING:
@@ -67,11 +74,11 @@ def record(reconstruction: Reconstruction, path: Path, truth: Truth | None = Non
     Raises ConfigError when rerun is not installed, DataError when the file cannot be written.
     """
     reconstruction, truth = near_origin(reconstruction, truth)
-    stream = _rerun().RecordingStream("contramap")
+    stream = rerun_sdk().RecordingStream("contramap")
     memory = stream.memory_recording()
     stream.send_blueprint(_blueprint(reconstruction))
     _log_run(stream, reconstruction, truth)
-    _save(stream, memory, path)
+    save_stream(stream, memory, path)
 
 
 def check_recording(path: Path) -> None:
@@ -90,7 +97,7 @@ def check_recording(path: Path) -> None:
 def show(reconstruction: Reconstruction, truth: Truth | None = None) -> None:
     """Open the rerun viewer and send the run to it; needs a display."""
     reconstruction, truth = near_origin(reconstruction, truth)
-    stream = _rerun().RecordingStream("contramap")
+    stream = rerun_sdk().RecordingStream("contramap")
     stream.spawn(default_blueprint=_blueprint(reconstruction))
     _log_run(stream, reconstruction, truth)
     stream.flush()
@@ -98,13 +105,13 @@ def show(reconstruction: Reconstruction, truth: Truth | None = None) -> None:
 
 def record_stored(result: StoredResult, path: Path) -> None:
     """Write a recording of a result folder's meshes, for results whose run was not recorded."""
-    stream = _rerun().RecordingStream("contramap")
+    stream = rerun_sdk().RecordingStream("contramap")
     memory = stream.memory_recording()
     T_world_table = np.array(result.scene.get("T_world_table") or np.eye(4), float).reshape(4, 4)
     shift = shift_of(T_world_table)
     T_world_table = shifted_pose(T_world_table, shift)
     upright = result.scene.get("support_plane") is not None
-    _log_table(stream, T_world_table, upright)
+    log_table(stream, T_world_table, upright)
     objects = [
         replace(
             item,
@@ -116,31 +123,16 @@ def record_stored(result: StoredResult, path: Path) -> None:
     for item in objects:
         _log_mesh(stream, item, object_colour(item.class_index - 1))
     log_boxes(stream, objects)
-    stream.send_blueprint(mesh_blueprint(*_view(objects, T_world_table, upright)))
+    stream.send_blueprint(mesh_blueprint(*view_of(objects, T_world_table, upright)))
     timings = {str(stage): float(value) for stage, value in result.scene.get("timings_ms", {}).items()}
     log_stages(stream, timings)
-    _log_text(stream, stored_summary(result.objects, timings))
-    _save(stream, memory, path)
-
-
-def _rerun() -> Any:
-    try:
-        import rerun
-    except ImportError as error:
-        raise ConfigError(f"recordings need rerun ({error}): pip install 'contramap[viz]'") from error
-    return rerun
-
-
-def _save(stream: Any, memory: Any, path: Path) -> None:
-    # Collected in memory: rerun's own file sink neither raises nor returns when the disk is full.
-    stream.flush()
-    write_atomically(Path(path), memory.drain_as_bytes())
-    stream.disconnect()
+    log_text(stream, stored_summary(result.objects, timings))
+    save_stream(stream, memory, path)
 
 
 def _log_run(stream: Any, reconstruction: Reconstruction, truth: Truth | None) -> None:
     has_plane = reconstruction.observation.support is not None
-    _log_table(stream, reconstruction.T_world_table, upright=has_plane)
+    log_table(stream, reconstruction.T_world_table, upright=has_plane)
     uncertain, other = _log_classes(stream, reconstruction)
     _log_camera(stream, reconstruction)
     _log_map(stream, reconstruction, uncertain, other)
@@ -148,22 +140,12 @@ def _log_run(stream: Any, reconstruction: Reconstruction, truth: Truth | None) -
         _log_mesh(stream, item, object_colour(item.class_index - 1))
     log_boxes(stream, reconstruction.objects)
     if reconstruction.other is not None:
-        stream.log("world/meshes/other", _mesh3d(reconstruction.other.mesh, colour=OTHER_COLOUR), static=True)
+        stream.log("world/meshes/other", mesh3d(reconstruction.other.mesh, colour=OTHER_COLOUR), static=True)
     for label, mesh in (truth or {}).items():
-        stream.log(f"world/truth/{label}", _mesh3d(mesh, colour=TRUTH_COLOUR), static=True)
+        stream.log(f"world/truth/{label}", mesh3d(mesh, colour=TRUTH_COLOUR), static=True)
     if reconstruction.objects:
         _log_slice(stream, reconstruction)
-    _log_text(stream, run_summary(reconstruction))
-
-
-def _log_table(stream: Any, T_world_table: np.ndarray, upright: bool) -> None:
-    rr = _rerun()
-    axes = rr.ViewCoordinates.RIGHT_HAND_Z_UP if upright else rr.ViewCoordinates.RDF
-    pose = rr.Transform3D(translation=T_world_table[:3, 3], mat3x3=T_world_table[:3, :3])
-    stream.log("world/table", pose, axes, static=True)
-    log_axes(stream, "world/axes", "world")
-    log_axes(stream, "world/table/axes", "table")
-    log_colour_bar(stream)
+    log_text(stream, run_summary(reconstruction))
 
 
 def _log_classes(stream: Any, reconstruction: Reconstruction) -> tuple[int, int]:
@@ -176,12 +158,12 @@ def _log_classes(stream: Any, reconstruction: Reconstruction) -> tuple[int, int]
     classes = [(0, "empty", (*EMPTY_COLOUR, 0)), (uncertain, "uncertain", (*UNCERTAIN_COLOUR, 255))]
     classes.append((other, "other", (*OTHER_COLOUR, 255)))
     classes += [(item.label, item.name, (*object_colour(i), 255)) for i, item in enumerate(objects)]
-    stream.log("world", _rerun().AnnotationContext(classes), static=True)
+    stream.log("world", rerun_sdk().AnnotationContext(classes), static=True)
     return uncertain, other
 
 
 def _log_camera(stream: Any, reconstruction: Reconstruction) -> None:
-    rr = _rerun()
+    rr = rerun_sdk()
     frame, observation = reconstruction.frame, reconstruction.observation.first
     camera = frame.camera
     pinhole = rr.Pinhole(
@@ -215,7 +197,7 @@ def _log_camera(stream: Any, reconstruction: Reconstruction) -> None:
 
 def _log_map(stream: Any, reconstruction: Reconstruction, uncertain: int, other: int) -> None:
     """Hinge points, training samples by class, and how the fit went."""
-    rr = _rerun()
+    rr = rerun_sdk()
     model = reconstruction.map
     hinges = rr.Points3D(model.hinges, colors=HINGE_COLOUR, radii=HINGE_RADIUS)
     stream.log("world/table/hinges", hinges, static=True)
@@ -241,29 +223,15 @@ def _log_map(stream: Any, reconstruction: Reconstruction, uncertain: int, other:
 
 def _log_mesh(stream: Any, item: ReconstructedObject | StoredObject, colour: tuple[int, ...]) -> None:
     key = object_folder(item.label, item.name)
-    stream.log(f"world/meshes/{key}", _mesh3d(item.mesh, colour=colour), static=True)
-    unsure = _mesh3d(item.mesh, vertex_colours=uncertainty_colours(item.uncertainty))
+    stream.log(f"world/meshes/{key}", mesh3d(item.mesh, colour=colour), static=True)
+    unsure = mesh3d(item.mesh, vertex_colours=uncertainty_colours(item.uncertainty))
     stream.log(f"world/uncertainty/{key}", unsure, static=True)
-
-
-def _mesh3d(
-    mesh: trimesh.Trimesh,
-    colour: tuple[int, ...] | None = None,
-    vertex_colours: np.ndarray | None = None,
-) -> Any:
-    return _rerun().Mesh3D(
-        vertex_positions=mesh.vertices,
-        triangle_indices=mesh.faces,
-        vertex_normals=mesh.vertex_normals,
-        vertex_colors=vertex_colours,
-        albedo_factor=colour,
-    )
 
 
 def _log_slice(stream: Any, reconstruction: Reconstruction) -> None:
     """The slice as a picture on a flat square; the texture's first row is its far edge."""
     section = slice_uncertainty(reconstruction)
-    square = _rerun().Mesh3D(
+    square = rerun_sdk().Mesh3D(
         vertex_positions=section.corners,
         triangle_indices=[[0, 1, 2], [0, 2, 3]],
         vertex_texcoords=[[0, 0], [1, 0], [1, 1], [0, 1]],
@@ -272,21 +240,6 @@ def _log_slice(stream: Any, reconstruction: Reconstruction) -> None:
     stream.log("world/slice", square, static=True)
 
 
-def _log_text(stream: Any, text: str) -> None:
-    rr = _rerun()
-    stream.log("summary", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
-
-
 def _blueprint(reconstruction: Reconstruction) -> Any:
     upright = reconstruction.observation.support is not None
-    return run_blueprint(*_view(reconstruction.objects, reconstruction.T_world_table, upright))
-
-
-def _view(
-    objects: Sequence[ReconstructedObject | StoredObject], T_world_table: np.ndarray, upright: bool
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Eye, target and up (3,) of the first view, in the table frame [m]."""
-    axes = directions(upright)
-    parts = [np.asarray(item.mesh.vertices) for item in objects]
-    points = transform(invert_rigid(T_world_table), np.concatenate(parts)) if parts else 0.1 * axes
-    return first_view(points.min(0), points.max(0), axes)
+    return run_blueprint(*view_of(reconstruction.objects, reconstruction.T_world_table, upright))
