@@ -9,6 +9,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -103,9 +104,27 @@ class Tabletop:
                 rotation = Rotation.random(random_state=rng)
             radius = self.config.drop_radius_m * np.sqrt(rng.random())
             angle = rng.uniform(0, 2 * np.pi)
-            self._add(model, rotation, radius * np.array([np.cos(angle), np.sin(angle)]))
+            x, y = radius * np.array([np.cos(angle), np.sin(angle)])
+            bottom = -rotation.apply(model.mesh.vertices - model.center_of_mass)[:, 2].min()
+            self._add(model, rotation, np.array([x, y, self._top() + bottom + 0.01]))
             self._step(self.config.between_drops_s)
         self.settle()
+
+    def place(self, item: PlacedObject) -> None:
+        """Put an object at a pose, at rest; it moves when time passes."""
+        T = item.T_world_object
+        position = T[:3, :3] @ item.model.center_of_mass + T[:3, 3]
+        self._add(item.model, Rotation.from_matrix(T[:3, :3]), position)
+
+    @property
+    def physics(self) -> tuple[Any, int]:
+        """pybullet and this world's client number, for whoever brings something of his own into it."""
+        return self._bullet, self._client
+
+    @property
+    def bodies(self) -> list[int]:
+        """pybullet's number of each object, in the order of placed()."""
+        return list(self._bodies)
 
     def settle(self) -> None:
         """Run until all objects are at rest, taking away those that leave the table or never stop."""
@@ -136,18 +155,16 @@ class Tabletop:
             found.append(PlacedObject(model, T))
         return found
 
-    def _add(self, model: ObjectModel, rotation: Rotation, xy: np.ndarray) -> None:
+    def _add(self, model: ObjectModel, rotation: Rotation, position: np.ndarray) -> None:
         bullet, client = self._bullet, self._client
         shape = bullet.createCollisionShape(
             bullet.GEOM_MESH, fileName=str(self._collision_file(model)), physicsClientId=client
         )
         solid = model.mesh.volume if model.watertight else 0.5 * model.mesh.convex_hull.volume
-        rotated = rotation.apply(model.mesh.vertices - model.center_of_mass)
-        bottom = -rotated[:, 2].min()
         body = bullet.createMultiBody(
             max(self.config.density * abs(float(solid)), 0.02),
             shape,
-            basePosition=[*xy, self._top() + bottom + 0.01],
+            basePosition=position.tolist(),
             baseOrientation=rotation.as_quat(),
             physicsClientId=client,
         )

@@ -13,6 +13,7 @@ from tools.demo import demo
 from tools.evaluation.command import evaluate
 from tools.exit_code import exit_code
 from tools.export import export
+from tools.grasping.command import grasps
 from tools.look import look
 from tools.map_frame import map_frame
 from tools.occupancy.command import occupancy
@@ -37,7 +38,7 @@ def fetch() -> None:
 
 
 def benchmark() -> None:
-    """Time the pipeline: `contramap benchmark latency | scaling | serve`."""
+    """Time the pipeline, or try its grasps: `contramap benchmark latency | scaling | serve | grasps`."""
 
 
 def reproduce() -> None:
@@ -62,7 +63,7 @@ COMMANDS: dict[str, Command] = {
 }
 GROUPS: dict[str, dict[str, Command]] = {
     "fetch": {"ycb": fetch_ycb},
-    "benchmark": {"latency": latency, "scaling": scaling, "serve": serve_benchmark},
+    "benchmark": {"latency": latency, "scaling": scaling, "serve": serve_benchmark, "grasps": grasps},
     "reproduce": {
         "toy": reproduced.toy,
         "occupancy": reproduced.occupancy,

@@ -1,0 +1,1 @@
+"""`contramap benchmark grasps`: do grasps planned on reconstructed shapes hold in physics?"""
