@@ -79,10 +79,12 @@ def picture_of(seen: Seen, grasp: Grasp, outcome: Outcome) -> np.ndarray:
 
 
 def contact_sheet(paths: list[Path], columns: int, out: Path) -> None:
-    """Several pictures in one PNG, row by row."""
+    """Several pictures of one size in one PNG, row by row; files that are no pictures are left out."""
     import cv2
 
-    images = [cv2.imread(str(path)) for path in paths]
+    images = [image for path in paths if (image := cv2.imread(str(path))) is not None]
+    if not images:
+        return
     height, width = images[0].shape[:2]
     rows = -(-len(images) // columns)
     sheet = np.full((rows * height, columns * width, 3), 255, np.uint8)
