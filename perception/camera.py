@@ -12,6 +12,8 @@ from mapping.errors import FrameError
 
 RIGID_TOLERANCE = 1e-3
 """Largest deviation from an orthonormal rotation that still counts as rigid."""
+MOST_OFF_AXIS = 70.0
+"""Where the principal point lies outside the image, no pixel looks further off the axis [degrees]."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +22,8 @@ class Camera:
 
     K: (3, 3) intrinsics [px]. width, height: image size [px].
     T_world_camera: (4, 4) rigid pose [m]; identity when the world is the camera frame.
-    Raises FrameError for NaN, focal lengths <= 0, a principal point outside the image or a non-rigid pose.
+    The principal point may lie outside an image that was cut. Raises FrameError for NaN, focal lengths <= 0,
+    a principal point so far outside that no lens sees the image, or a non-rigid pose.
     """
 
     K: np.ndarray
@@ -32,10 +35,12 @@ class Camera:
         K = _matrix(self.K, (3, 3), "K")
         if K[0, 0] <= 0 or K[1, 1] <= 0:
             raise FrameError(f"K: focal lengths must be > 0 px, got fx={K[0, 0]:g}, fy={K[1, 1]:g}")
-        if not (0 <= K[0, 2] < self.width and 0 <= K[1, 2] < self.height):
+        off_axis = _degrees_off_axis(K, self.width, self.height)
+        if off_axis > MOST_OFF_AXIS and not _inside(K, self.width, self.height):
             raise FrameError(
                 f"K: principal point ({K[0, 2]:g}, {K[1, 2]:g}) lies outside the {self.width}x{self.height} "
-                "image; K must belong to this image size (rescale it if the image was resized)"
+                f"image, which would be seen {off_axis:.0f} degrees off the axis; K must belong to this "
+                "image size (rescale it if the image was resized)"
             )
         T = _matrix(self.T_world_camera, (4, 4), "T_world_camera")
         R = T[:3, :3]
@@ -48,6 +53,11 @@ class Camera:
             raise FrameError("T_world_camera is not a rigid transform (rotation not orthonormal or scaled)")
         object.__setattr__(self, "K", K)
         object.__setattr__(self, "T_world_camera", T)
+
+    @property
+    def sees_axis(self) -> bool:
+        """Whether the principal point lies within the image: not so in a cut far from the middle."""
+        return _inside(self.K, self.width, self.height)
 
     @cached_property
     def rays(self) -> np.ndarray:
@@ -98,6 +108,18 @@ def look_at(eye: np.ndarray, target: np.ndarray, up: Sequence[float] | np.ndarra
     T = np.eye(4)
     T[:3, 0], T[:3, 1], T[:3, 2], T[:3, 3] = right, np.cross(forward, right), forward, eye
     return T
+
+
+def _inside(K: np.ndarray, width: int, height: int) -> bool:
+    return bool(0 <= K[0, 2] < width and 0 <= K[1, 2] < height)
+
+
+def _degrees_off_axis(K: np.ndarray, width: int, height: int) -> float:
+    """Angle between the optical axis and the ray that is furthest off it, along one side of the image."""
+    x, y = K[0, 2], K[1, 2]
+    return float(
+        np.degrees(np.arctan(max(x / K[0, 0], (width - x) / K[0, 0], y / K[1, 1], (height - y) / K[1, 1])))
+    )
 
 
 def _matrix(value: np.ndarray, shape: tuple[int, int], name: str) -> np.ndarray:

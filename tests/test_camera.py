@@ -46,7 +46,7 @@ def test_inverse_of_a_rigid_transform(seed: int) -> None:
         ({"K": np.full((3, 3), np.nan)}, "NaN"),
         ({"K": np.diag([-300.0, 300.0, 1.0])}, "focal lengths"),
         ({"K": np.diag([300.0, 0.0, 1.0])}, "focal lengths"),
-        ({"K": np.array([[300.0, 0, 160], [0, 300.0, 60], [0, 0, 1]])}, "principal point"),
+        ({"K": np.array([[300.0, 0, 1600], [0, 300.0, 60], [0, 0, 1]])}, "principal point"),
         ({"K": np.eye(4)}, "shape"),
         ({"K": "wide"}, "numbers"),
         ({"T_world_camera": 2 * np.eye(4)}, "rigid"),

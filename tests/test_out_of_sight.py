@@ -14,6 +14,8 @@ from reconstruction.metrics import mesh_iou
 
 CUT = 3
 """The cylinder, cut by the image's lower border."""
+FAR = 4
+"""A thing far from the middle of the image."""
 
 
 def without_rows(frame: Frame, last: int) -> Frame:
@@ -46,6 +48,23 @@ def test_a_cut_object_stands_on_its_support_and_nothing_beyond_the_border_is_fre
     assert answer.uncertainty.mean() > 0.5
 
 
+def test_a_cut_far_from_the_middle_is_mapped_like_the_whole(tabletop: Tabletop) -> None:
+    frame = tabletop.frame
+    assert frame.labels is not None
+    rows, columns = np.nonzero(frame.labels == FAR)
+    top, left = int(rows.min()) - 20, int(columns.min()) - 20
+    part = np.s_[top : int(rows.max()) + 20, left : int(columns.max()) + 20]
+    K = frame.camera.K.copy()
+    K[:2, 2] -= left, top
+    depth, labels = frame.depth[part], frame.labels[part]
+    camera = Camera(K, depth.shape[1], depth.shape[0], frame.camera.T_world_camera)
+    assert not camera.sees_axis
+    result = reconstruct(Frame(depth, camera, None, labels, frame.names))
+    mesh = next(item.mesh for item in result.objects if item.label == FAR)
+    assert mesh_iou(mesh, true_mesh(tabletop.shapes[FAR - 1])) > 0.7
+    assert any("right for a cut image only" in note for note in result.notes)
+
+
 def test_a_jug_seen_from_straight_above_is_as_wide_as_its_top() -> None:
     tall = Shape("cylinder", (0.05, 0.22), (0.10, 0.05, 0.11))
     handle = Shape("box", (0.05, 0.02, 0.03), (0.17, 0.05, 0.18))
@@ -55,6 +74,17 @@ def test_a_jug_seen_from_straight_above_is_as_wide_as_its_top() -> None:
     (item,) = reconstruct(dataclasses.replace(scene.frame, labels=labels)).objects
     assert item.mesh.bounds[0][2] < 0.005
     assert mesh_iou(item.mesh, true_mesh(tall)) > 0.8
+
+
+def test_a_thing_seen_from_above_on_another_does_not_go_through_it() -> None:
+    tall, ball = (
+        Shape("box", (0.12, 0.14, 0.20), (0.05, 0.0, 0.10)),
+        Shape("sphere", (0.02,), (0.04, 0, 0.22)),
+    )
+    scene = make_tabletop((tall, ball), eye=(0.0, 0.0, 0.9), target=(0.0, 0.0, 0.0))
+    carrier, carried = (item.mesh for item in reconstruct(scene.frame).objects)
+    assert carrier.bounds[0][2] < 0.005
+    assert carried.bounds[0][2] > 0.17
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.02])

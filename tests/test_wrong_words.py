@@ -158,6 +158,13 @@ WRONG: list[tuple[str, Any, str]] = [
     ("kind unknown", camera_key(depth_kind="log"), "depth_kind must be"),
     ("K of half the size", scaled_K(0.5), "K belongs to a 160x120 image"),
     ("K of twice the size", scaled_K(2.0), "K"),
+    ("K of four times the size", scaled_K(4.0), "K belongs to a 1277x957 image"),
+    ("K of 3.3 times the size", scaled_K(3.3), "K belongs to a 1054x790 image"),
+    (
+        "K of another shape, its principal point outside",
+        other_K(lambda K, f: np.array([[900, 0, 500.0], [0, 900, 180.0], [0, 0, 1]])),
+        "the table tilts",
+    ),
     (
         "K of another shape",
         other_K(lambda K, f: np.array([[600, 0, 319.5], [0, 600, 179.5], [0, 0, 1.0]])),

@@ -13,6 +13,11 @@ OTHER_STREAM = 0.05
 """Twice a principal point lies this near, as a share, to the size of the stream that K was made for."""
 LEAST_VIEW, MOST_VIEW = 8.0, 140.0
 """Fields of view between which cameras lie [degrees]."""
+SHAPE = 0.03
+"""A principal point outside the image is the middle of a larger image of the same shape, to this share."""
+TILTED = (6.0, 45.0)
+"""Where it lies outside and the world is level, the table's tilt [degrees] between these tells a wrong K: a
+level table shows it to be right, a larger tilt that the world is not level."""
 SQUARE = 0.12
 """Pixels are square to this share, or fx and fy are worth a note."""
 NEVER_SQUARE = 2.0
@@ -34,7 +39,8 @@ def check_intrinsics(camera: Camera, source: str, trusted: bool = False) -> list
     """
     K, width, height = camera.K, camera.width, camera.height
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
-    across = float(np.degrees(2 * np.arctan(width / (2 * fx))))
+    # Of a cut image, the whole of which it is a part counts.
+    across = float(np.degrees(2 * np.arctan(max(width / 2, width - 0.5 - cx, cx + 0.5) / fx)))
     if not LEAST_VIEW < across < MOST_VIEW:
         unit = (
             f"fractions of the image? Multiply the first row by {width} and the second by {height}"
@@ -72,11 +78,36 @@ def check_intrinsics(camera: Camera, source: str, trusted: bool = False) -> list
     return notes
 
 
+def check_cut(camera: Camera, normal: np.ndarray, source: str, trusted: bool) -> None:
+    """Raise FrameError where the principal point lies outside the image and the support contradicts K.
+
+    normal: (3,) the support's in the camera frame. A wrong K shears the scene, so a level table comes out
+    tilted. Without a pose nothing is said.
+    """
+    if trusted or camera.sees_axis or np.allclose(camera.T_world_camera, np.eye(4)):
+        return
+    up = camera.T_world_camera[:3, :3] @ normal / np.linalg.norm(normal)
+    tilt = float(np.degrees(np.arccos(np.clip(up[2], -1, 1))))
+    if TILTED[0] < tilt < TILTED[1]:
+        raise FrameError(
+            f"{source}: K: the principal point ({camera.K[0, 2]:g}, {camera.K[1, 2]:g}) lies outside the "
+            f"{camera.width}x{camera.height} image, and the table tilts {tilt:.0f} degrees against the "
+            "world's z: K or the offset of the cut is wrong; if K is right, add "
+            '"trust": ["K"] to the camera file (--trust K)'
+        )
+
+
 def _stream_of(cx: float, cy: float, width: int, height: int) -> tuple[int, int] | None:
     """The size of another stream whose middle is the principal point; None for a cut image."""
     size = np.array([2 * cx + 1, 2 * cy + 1])
     if abs(size[0] / height - 1) < OTHER_STREAM and abs(size[1] / width - 1) < OTHER_STREAM:
         return (height, width)  # the image stands upright, or the point's numbers were exchanged
+    if (
+        (cx >= width or cy >= height)
+        and min(size) > 0
+        and abs(size[0] / width * height / size[1] - 1) < SHAPE
+    ):
+        return (round(size[0]), round(size[1]))  # of the same shape: no cut would have just that
     sizes = np.array([*STREAMS, *(tuple(np.multiply((width, height), f)) for f in (0.25, 0.5, 2, 4))])
     off = np.abs(size / sizes - 1).max(1)
     best = int(np.argmin(off))

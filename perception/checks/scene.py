@@ -7,6 +7,7 @@ import numpy as np
 
 from perception.checks.depth_kind import check_buffer, check_depth_kind
 from perception.checks.depth_values import without_lone_far
+from perception.checks.intrinsics import check_cut
 from perception.checks.label_regions import LabelRegion, label_regions
 from perception.checks.pose import check_pose
 from perception.checks.scenery import set_aside
@@ -50,6 +51,7 @@ def screen_labels(
 
 def check_support(frame: Frame, regions: list[LabelRegion], support: SupportPlane) -> list[str]:
     """Notes about unit and pose, now that the support is known. Raises FrameError when one must be wrong."""
+    check_cut(frame.camera, support.normal, frame.source, "K" in frame.trust)
     notes = check_pose(frame.camera, support, frame.source, "pose" in frame.trust)
     if regions:
         scale = scale_of(regions, frame.camera, support.normal, support.offset)

@@ -13,6 +13,7 @@ from perception.space import Space
 from reconstruction.prior.evidence import hidden_labels
 from reconstruction.prior.features import ObjectBox
 from reconstruction.prior.footprint import CELLS, Footprint
+from reconstruction.samples.bed import bed_height
 
 FOOT_GAP = 0.02
 """An object whose visible part ends higher above its support than this may lack a foot [m]."""
@@ -55,7 +56,12 @@ def reach_down(
     above = seen_from_above(item, space)
     column = ((points[:, :2] > low[:2] - FOOT_GAP) & (points[:, :2] < high[:2] + FOOT_GAP)).all(1)
     column &= points[:, 2] < (high[2] if above else low[2])
-    ground = column & (points[:, 2] < item.floor + FOOT_GAP / 4)
+    ground_height = item.floor
+    bed = bed_height(observation, item)
+    if bed is not None and bed > item.floor + FOOT_GAP:
+        ground_height = bed  # it lies on something, down to which it goes
+        column &= points[:, 2] > bed
+    ground = column & (points[:, 2] < ground_height + FOOT_GAP / 4)
     own = index + 1
     if not ground.any() or (guess[ground, own] > STANDING).any():
         return
