@@ -1,4 +1,4 @@
-"""Where a command's frame comes from: a folder or file, separate files, or one image of a data set."""
+"""Where a command's frame comes from: a folder or file, separate files, a bag, or one image of a data set."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mapping.errors import ConfigError
+from perception.datasets.bags.config import NO_TOPICS, BagConfig
 
 if TYPE_CHECKING:
     from perception.frame import Frame
@@ -26,9 +27,12 @@ class FrameSource:
     depth_scale: float | None
     bop: tuple[Path, int, int] | None
     trust: tuple[str, ...]
+    at: float | None = None
+    topics: BagConfig = NO_TOPICS
 
     def load(self) -> Frame:
         """The frame; raises ConfigError for options that do not go together, FrameError for bad files."""
+        from perception.datasets.bags.opened import is_bag
         from perception.frame_io import load_frame, load_images
         from perception.inputs.camera_file import read_pose_file
 
@@ -53,6 +57,14 @@ class FrameSource:
             if pose is not None or self.depth_scale is not None:
                 raise ConfigError("--pose and --depth-scale do not go with --bop: the data set has its own")
             return load_bop(*self.bop, trust=self.trust)
+        if self.frame is not None and is_bag(self.frame):
+            from perception.datasets.bags.bag import load_bag
+
+            if pose is not None or self.depth_scale is not None:
+                raise ConfigError("--pose and --depth-scale do not go with a bag: it has its own")
+            return load_bag(self.frame, self.at or 0.0, self.topics, self.trust)
+        if self.at is not None:
+            raise ConfigError(f"--at goes with a bag (.bag, .mcap, .db3, or a folder), not with {self.frame}")
         if self.frame is not None:
             return load_frame(self.frame, depth_scale=self.depth_scale, T_world_camera=pose, trust=self.trust)
         if (self.intrinsics is None) == (self.camera is None):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from mapping.errors import ConfigError
+from perception.datasets.bags.config import NO_TOPICS, BagConfig
 from reconstruction.config import TABLETOP, PipelineConfig, PresetName
 from tools.frame_source import FrameSource
 from tools.map_many import map_all, result_folders
@@ -31,6 +33,7 @@ def map_frame(
     pose: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     depth_scale: Annotated[float | None, tyro.conf.arg(metavar="M")] = None,
     bop: Annotated[tuple[Path, int, int] | None, tyro.conf.arg(metavar="DIR SCENE IMAGE")] = None,
+    at: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None,
     trust: tuple[Literal["unit", "kind", "K", "pose"], ...] = (),
     preset: PresetName = "tabletop",
     prior: str | None = None,
@@ -44,6 +47,7 @@ def map_frame(
     together: bool = False,
     track: bool = False,
     overwrite: bool = False,
+    bag: BagConfig = NO_TOPICS,
     settings: Annotated[PipelineConfig, tyro.conf.arg(name="")] = TABLETOP,
 ) -> None:
     """Map an RGB-D frame: one watertight metric mesh with uncertainty per object.
@@ -66,6 +70,8 @@ def map_frame(
         pose: File with the camera's pose in the world: 4x4, x y z qx qy qz qw, or position and orientation.
         depth_scale: Metres per stored depth unit; with --depth 0.001 (millimetres) by default.
         bop: One image of a data set in BOP's layout, instead of FRAME: split folder, scene and image number.
+        at: With a ROS 1 or ROS 2 bag as FRAME: of its depth images the one nearest to this time, counted from
+            the first one on or since 1970; the first one by default.
         trust: What you know to be right although it looks odd: unit, kind (z, not ray), K, pose.
         preset: tabletop (default) or paper (samples and hinge points as published).
         prior: What guesses hidden shapes: learned, or none (samples.prior; the paper preset has none).
@@ -80,6 +86,7 @@ def map_frame(
         track: With --together: equal label numbers are the same object in all views. Without it names must be
             equal too, and what has none is matched by where it is.
         overwrite: Replace an older result in --out.
+        bag: Topics of a bag; those of one kind are found by themselves. See --at.
         settings: Every setting of the pipeline; the defaults are those of --preset.
     """
     from perception.frame_io import load_frame
@@ -87,7 +94,7 @@ def map_frame(
     from reconstruction.files.result_folder import check_output, save_reconstruction
 
     chosen = pipeline_config(settings, config, set, device, prior, spacing, max_uncertainty)
-    given = rgb or depth or labels or intrinsics or camera or pose or bop
+    given = rgb or depth or labels or intrinsics or camera or pose or bop or at is not None
     if len(frame) > 1 and (given or (rrd and not together)):
         raise ConfigError("several frames go with --out and settings only; map one at a time otherwise")
     if (together or track) and len(frame) < 2:
@@ -116,6 +123,7 @@ def map_frame(
     else:
         one = frame[0] if frame else None
         source = FrameSource(one, rgb, depth, labels, intrinsics, camera, pose, depth_scale, bop, trust)
+        source = replace(source, at=at, topics=bag)
         reconstruction = reconstruct(source.load(), chosen, seed)
     save_reconstruction(reconstruction, out, overwrite=overwrite)
     if rrd is not None:

@@ -13,6 +13,7 @@ import tyro
 
 from mapping.errors import ConfigError, ContraMapError, DataError
 from mapping.plain_json import plain
+from perception.datasets.bags.config import NO_TOPICS, BagConfig
 from reconstruction.config import TABLETOP, PipelineConfig, PresetName
 from tools.options import pipeline_config, write_json
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def stream(
-    frames: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")],
+    frames: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FRAMES")],
     *,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     rrd: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
@@ -36,17 +37,20 @@ def stream(
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     set: tuple[str, ...] = (),
     overwrite: bool = False,
+    bag: BagConfig = NO_TOPICS,
     settings: Annotated[PipelineConfig, tyro.conf.arg(name="")] = TABLETOP,
 ) -> None:
     """Map the frames of one scene one after another; camera poses in one world.
 
-    Example: contramap stream FOLDER --out grown
+    Example: contramap stream FRAMES --out grown
+    Example: contramap stream run.bag --out grown --bag.every 0.5
     After each frame OUT is a result folder with the meshes of all frames so far; scene.json has the version
     and says what became of each frame. A stopped stream goes on when it is started again.
 
     Args:
         frames: Folder with one frame folder, .npz or organised cloud a frame, in the order of their names; or
-            a frame with further ones in its views/, as `contramap scenes --views` makes them.
+            a frame with further ones in its views/, as `contramap scenes --views` makes them; or a ROS 1 or
+            ROS 2 bag.
         out: Result folder; must be empty or absent, or hold an unfinished stream of the same frames and
             settings, or see --overwrite. Without it only figures are printed.
         rrd: Recording to write at the end; OUT/recording.rrd by default, where rerun is installed. It begins
@@ -61,13 +65,16 @@ def stream(
         config: YAML or JSON file of nested settings.
         set: Settings as text, such as mesh.spacing=0.003.
         overwrite: Replace an older result in --out.
+        bag: Topics of a bag; those of one kind are found by themselves.
         settings: Every setting of the pipeline; the defaults are those of --preset.
     """
+    from perception.datasets.bags.bag import shots_of_bag
+    from perception.datasets.bags.opened import is_bag
     from perception.datasets.sequence import shots_in
     from reconstruction.growing import GrowingMap
 
     chosen = pipeline_config(settings, config, set)
-    shots = shots_in(frames, depth_scale, trust)
+    shots = shots_of_bag(frames, bag, trust) if is_bag(frames) else shots_in(frames, depth_scale, trust)
     grown = GrowingMap(chosen, seed, track)
     source = {"source": str(Path(frames).resolve()), "track": track}
     target = Target(out, rrd, source, overwrite)
