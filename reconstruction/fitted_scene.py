@@ -16,6 +16,7 @@ import trimesh
 from mapping.contramap import ContraMap
 from mapping.errors import ConfigError
 from mapping.threads import map_in_threads
+from perception.carried import beds
 from perception.frame import Frame
 from perception.observation import Observation
 from perception.observing import observe
@@ -184,15 +185,20 @@ class FittedScene:
     @property
     def floor(self) -> float | None:
         """Height [m] below which no object can be; None when no support was found."""
-        return None if self.floors is None else min(self.floors)
-
-    @property
-    def floors(self) -> list[float] | None:
-        """Height [m] below which each object cannot be; None when no support was found."""
         lowest = self.config.mesh.floor
         if self.observation.support is None or lowest is None:
             return None
-        return [item.floor + lowest for item in self.observation.objects]
+        return min(item.floor for item in self.observation.objects) + lowest
+
+    @cached_property
+    def floors(self) -> list[float] | None:
+        """Height [m] below which each object cannot be, on whatever it lies; None when no support was
+        found."""
+        lowest = self.config.mesh.floor
+        if self.observation.support is None or lowest is None:
+            return None
+        objects = self.observation.objects
+        return [lowest + (item.floor if bed is None else bed) for item, bed in zip(objects, beds(objects))]
 
 
 def generator(seed: int) -> np.random.Generator:

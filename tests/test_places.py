@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
 from conftest import Shape, Tabletop, make_tabletop, shape_mesh
 from trimesh import Trimesh
 
-from perception import Frame
+from perception import Frame, observe
+from perception.carried import beds
 from reconstruction import Reconstruction, reconstruct
 from reconstruction.metrics import mesh_iou
 
@@ -81,6 +83,25 @@ def test_things_in_a_bin_stand_on_its_bottom() -> None:
 def test_things_on_a_tray_stand_on_the_tray() -> None:
     scene = make_tabletop(tuple(raised(item, 0.03) for item in THINGS), noise=0.001, background=(TRAY,))
     check(reconstruct(scene.frame), scene, {1, 2, 3}, 0.8)
+
+
+def test_things_on_a_labelled_tray_end_at_its_top() -> None:
+    scene = make_tabletop((*(raised(shape, 0.03) for shape in THINGS), TRAY), noise=0.001, size=(240, 180))
+    result = reconstruct(scene.frame)
+    check(result, scene, {1, 2, 3}, 0.75)
+    assert result.floor is not None
+    assert result.floor < 0
+
+
+def test_what_stands_close_behind_a_box_does_not_lie_on_it() -> None:
+    low = Shape("box", (0.12, 0.20, 0.06), (-0.10, 0.0, 0.03))
+    behind = Shape("box", (0.06, 0.09, 0.16), (0.0, 0.0, 0.08))
+    on_top = Shape("box", (0.05, 0.05, 0.04), (-0.09, 0.03, 0.08))
+    objects = observe(make_tabletop((low, behind, on_top), noise=0.001).frame).objects
+    found = {item.label: bed for item, bed in zip(objects, beds(objects))}
+    assert found[1] is None
+    assert found[2] is None
+    assert found[3] == pytest.approx(0.06, abs=0.003)
 
 
 def test_the_back_of_a_shelf_is_no_support() -> None:

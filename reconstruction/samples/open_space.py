@@ -13,6 +13,7 @@ from mapping.hinges import lattice_near_points
 from mapping.samples import jittered, jittered_lattice
 from perception.observation import SUPPORT
 from perception.space import Region
+from reconstruction.samples.reach_down import visible_end
 from reconstruction.samples.scope import Scope
 
 FOOT_CLEARANCE = 0.0015
@@ -104,7 +105,7 @@ def _under_hovering(scope: Scope, points: np.ndarray) -> np.ndarray:
     under = np.zeros(len(points), bool)
     for item in scope.items:
         low, high = item.bounds
-        if low[2] - scope.floor > scope.config.foot_distance:
+        if visible_end(item, scope.space) - scope.floor > scope.config.foot_distance:
             reach = scope.config.foot_distance
             under |= ((points[:, :2] > low[:2] - reach) & (points[:, :2] < high[:2] + reach)).all(1)
         if scope.observation.at_border(item):

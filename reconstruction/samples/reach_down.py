@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from perception.observation import Observation, ObservedObject
+from perception.quantiles import quantiles
 from perception.space import Space
 from reconstruction.prior.evidence import hidden_labels
 from reconstruction.prior.features import ObjectBox
@@ -17,8 +18,13 @@ from reconstruction.samples.bed import bed_height
 
 FOOT_GAP = 0.02
 """An object whose visible part ends higher above its support than this may lack a foot [m]."""
+LOW_SHARE = 0.1
+"""Seen from above, the lowest tenth of what is seen of it is no foot, but a handle or spout."""
 STANDING = 0.5
-"""It lacks one where nowhere on its support it is as probable as this."""
+"""It stands where it is as probable as this on its support ..."""
+STANDS_ON = 0.2
+"""... and lacks a foot where, seen from above, it stands on less than this share of what its top covers; cut
+by the border, where it stands nowhere."""
 COVERED = 0.5
 """It lies on something else where that stands under more than this share of it."""
 REACH_DOWN = 0.75
@@ -37,8 +43,15 @@ NARROW = 0.4
 
 def may_lack_foot(item: ObservedObject, observation: Observation, space: Space) -> bool:
     """Whether what is seen of an object ends above its support because nobody could see more of it."""
-    hangs = item.bounds[0][2] - item.floor > FOOT_GAP
+    hangs = visible_end(item, space) - item.floor > FOOT_GAP
     return bool(hangs and (seen_from_above(item, space) or observation.at_border(item, BORDER)))
+
+
+def visible_end(item: ObservedObject, space: Space) -> float:
+    """Height [m] at which what is seen of an object ends; seen from above, the bulk of it."""
+    if not seen_from_above(item, space):
+        return float(item.bounds[0][2])
+    return float(quantiles(item.outline[:, 2], LOW_SHARE)[0])
 
 
 def seen_from_above(item: ObservedObject, space: Space) -> bool:
@@ -63,13 +76,20 @@ def reach_down(
         column &= points[:, 2] > bed
     ground = column & (points[:, 2] < ground_height + FOOT_GAP / 4)
     own = index + 1
-    if not ground.any() or (guess[ground, own] > STANDING).any():
+    if not ground.any():
         return
     rows = np.flatnonzero(column)
     if above:
         there = _under_plan(item, space, points[rows])
     else:
         there = _under_end(observation, space, index, points[rows])
+    stands = (
+        guess[rows, own][ground[rows] & (there > STANDING)] > STANDING
+        if above
+        else guess[ground, own] > STANDING
+    )
+    if stands.mean() >= STANDS_ON if above and len(stands) else stands.any():
+        return
     others = guess[rows].sum(1) - guess[rows, 0] - guess[rows, own]
     foot = ground[rows] & (there > STANDING)
     if foot.any() and (others[foot] > STANDING).mean() > COVERED:

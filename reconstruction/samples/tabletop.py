@@ -17,7 +17,7 @@ from reconstruction.samples.even_noise import spread_evenly
 from reconstruction.samples.hinge_points import hinge_points
 from reconstruction.samples.obstacles import near_obstacles, obstacle_samples
 from reconstruction.samples.open_space import OpenSpace, below_support, feet, open_space
-from reconstruction.samples.reach_down import FOOT_GAP
+from reconstruction.samples.reach_down import FOOT_GAP, visible_end
 from reconstruction.samples.scope import Scope
 from reconstruction.samples.structure import structure
 from reconstruction.samples.surfaces import SurfaceSamples, surface_samples
@@ -148,6 +148,7 @@ class _Drawn:
         found[outside] = labels.outside(self.scope.config.labels, guess[outside])
         likely = outside & (guess[:, 1:].max(1, initial=0) > COLUMN)
         for item, own in zip(self.scope.items, self.scope.classes):
-            if self.scope.supported and item.bounds[0][2] - item.floor > FOOT_GAP:
-                likely |= (guess[:, own] > COLUMN) & (points[:, 2] < item.bounds[0][2])
+            end = visible_end(item, self.scope.space)
+            if self.scope.supported and end - item.floor > FOOT_GAP:
+                likely |= (guess[:, own] > COLUMN) & (points[:, 2] < end)
         return found, likely

@@ -1,0 +1,79 @@
+"""Labelled things that carry others: trays, books, boxes. Where does what lies on them end?
+
+Knows visible points of objects in the table frame; knows nothing of images, masks or shapes. Supports without
+a label are found in supports.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from perception.observation import ObservedObject
+from perception.quantiles import quantiles
+from perception.supports import BESIDE, BIN, CELL, HALF_THICKNESS, LEAST_AREA, LEAST_CELLS
+
+TOP_POINTS = 4000
+"""Points of an object in which a level top is looked for."""
+REST_GAP = 0.04
+"""What is seen of a thing ends within this height above what it lies on: balls hide where they touch it
+[m]."""
+INSIDE = 0.015
+"""The middle of what lies on a top is this far within its hull in plan [m]: what stands close behind a box is
+not."""
+
+
+def beds(objects: Sequence[ObservedObject]) -> list[float | None]:
+    """Height [m] of the level top of another object that each object lies on; None where it lies on none.
+
+    It lies on a top that is seen on several sides of it: in plan its middle lies within the top's hull, and
+    what is seen of it ends right above.
+    """
+    tops = [_level_top(item.points) for item in objects]
+    found: list[float | None] = []
+    for index, item in enumerate(objects):
+        others = [top for other, top in enumerate(tops) if other != index and top is not None]
+        others = [top for top in others if item.floor < top[0] < item.bounds[0][2] + HALF_THICKNESS]
+        heights = [height for height, cells in others if _lies_on(item, height, cells)]
+        found.append(max(heights, default=None))
+    return found
+
+
+def _level_top(points: np.ndarray) -> tuple[float, np.ndarray] | None:
+    """Height [m] at which most level surface of an object with points (N, 3) lies, and the plan cells (M, 2)
+    [m] of it; None where that is too little to carry anything."""
+    points = points[:: 1 + len(points) // TOP_POINTS]
+    low, high = points[:, :2].min(0), points[:, :2].max(0)
+    if float(np.prod(high - low)) < LEAST_AREA:
+        return None
+    height = points[:, 2]
+    number = np.floor((height - height.min()) / BIN).astype(np.int64)
+    x, y = np.floor((points[:, :2] - low) / CELL).astype(np.int64).T
+    width = int(y.max()) + 1
+    cell = x * width + y
+    # Steep sides have many points at a height, but few cells in plan.
+    area = np.bincount(np.unique(number * (cell.max() + 1) + cell) // (cell.max() + 1))
+    middle = height.min() + BIN * (int(np.convolve(area, np.ones(3), "same").argmax()) + 0.5)
+    level = np.abs(height - middle) < HALF_THICKNESS
+    plan = np.unique(cell[level])
+    if len(plan) * CELL**2 < LEAST_AREA:
+        return None
+    centres = low + (np.column_stack(np.divmod(plan, width)) + 0.5) * CELL
+    return float(np.median(height[level])), centres
+
+
+def _lies_on(item: ObservedObject, height: float, cells: np.ndarray) -> bool:
+    """Whether an object above a level top at a height [m], with plan cells (M, 2) [m], lies on it."""
+    import cv2
+
+    if float(quantiles(item.points[:, 2], 0.03)[0]) > height + REST_GAP:
+        return False
+    low, high = item.bounds
+    near = cells[((cells > low[:2] - BESIDE) & (cells < high[:2] + BESIDE)).all(1)]
+    if len(near) < LEAST_CELLS:
+        return False
+    x, y = np.median(item.points[:, :2], axis=0)
+    return bool(
+        cv2.pointPolygonTest(cv2.convexHull(near.astype(np.float32)), (float(x), float(y)), True) > INSIDE
+    )
