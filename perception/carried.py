@@ -16,6 +16,8 @@ from perception.supports import BESIDE, BIN, CELL, HALF_THICKNESS, LEAST_AREA, L
 
 TOP_POINTS = 4000
 """Points of an object in which a level top is looked for."""
+MIDDLE_POINTS = 400
+"""Points of an object whose median is its middle in plan."""
 REST_GAP = 0.04
 """What is seen of a thing ends within this height above what it lies on: balls hide where they touch it
 [m]."""
@@ -30,12 +32,23 @@ def beds(objects: Sequence[ObservedObject]) -> list[float | None]:
     It lies on a top that is seen on several sides of it: in plan its middle lies within the top's hull, and
     what is seen of it ends right above.
     """
-    tops = [_level_top(item.points) for item in objects]
+    tops: dict[int, tuple[float, np.ndarray] | None] = {}
     found: list[float | None] = []
     for index, item in enumerate(objects):
-        others = [top for other, top in enumerate(tops) if other != index and top is not None]
-        others = [top for top in others if item.floor < top[0] < item.bounds[0][2] + HALF_THICKNESS]
-        heights = [height for height, cells in others if _lies_on(item, height, cells)]
+        middle = np.median(item.points[:: 1 + len(item.points) // MIDDLE_POINTS, :2], axis=0)
+        heights = []
+        for other, below in enumerate(objects):
+            low, high = below.bounds
+            # Most things lie beside each other, or on the support: nothing has to be looked for.
+            if other == index or item.bounds[0][2] < item.floor + BIN or low[2] > item.bounds[0][2]:
+                continue
+            if not ((middle > low[:2] + INSIDE) & (middle < high[:2] - INSIDE)).all():
+                continue
+            if other not in tops:
+                tops[other] = _level_top(below.points)
+            top = tops[other]
+            if top is not None and item.floor < top[0] and _lies_on(item, middle, *top):
+                heights.append(top[0])
         found.append(max(heights, default=None))
     return found
 
@@ -63,17 +76,17 @@ def _level_top(points: np.ndarray) -> tuple[float, np.ndarray] | None:
     return float(np.median(height[level])), centres
 
 
-def _lies_on(item: ObservedObject, height: float, cells: np.ndarray) -> bool:
-    """Whether an object above a level top at a height [m], with plan cells (M, 2) [m], lies on it."""
+def _lies_on(item: ObservedObject, middle: np.ndarray, height: float, cells: np.ndarray) -> bool:
+    """Whether an object with its middle (2,) in plan lies on a level top at a height, with plan cells (M, 2)
+    [m]."""
     import cv2
 
-    if float(quantiles(item.points[:, 2], 0.03)[0]) > height + REST_GAP:
-        return False
     low, high = item.bounds
+    ends = float(quantiles(item.points[:, 2], 0.03)[0])
+    if low[2] < height - HALF_THICKNESS or ends > height + REST_GAP:
+        return False
     near = cells[((cells > low[:2] - BESIDE) & (cells < high[:2] + BESIDE)).all(1)]
     if len(near) < LEAST_CELLS:
         return False
-    x, y = np.median(item.points[:, :2], axis=0)
-    return bool(
-        cv2.pointPolygonTest(cv2.convexHull(near.astype(np.float32)), (float(x), float(y)), True) > INSIDE
-    )
+    hull = cv2.convexHull(near.astype(np.float32))
+    return bool(cv2.pointPolygonTest(hull, (float(middle[0]), float(middle[1])), True) > INSIDE)

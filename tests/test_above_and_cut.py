@@ -60,15 +60,15 @@ def test_a_ball_stays_where_it_is(scene: Path, tmp_path: Path) -> None:
 def test_rows_become_tables(tmp_path: Path) -> None:
     good = {"iou": 0.8, "hover": 0.001, "beyond_free": float("nan")}
     lost = {"iou": 0.0, "hover": float("nan"), "beyond_free": 0.0}
-    row = {"scene": "s", "view": "above", "label": 1, "name": "ball", "shown": 1.0, "refused": ""}
+    row = {"scene": "ten/s", "view": "above", "label": 1, "name": "ball", "shown": 1.0, "refused": ""}
     rows = [{**row, "tilted": good, "seen": good}, {**row, "view": "cut", "tilted": good, "seen": lost}]
     for name in "ab":
         (tmp_path / name).write_text(json.dumps({"rows": rows, "written_by": [f"piece {name}"]}))
     main(add=(tmp_path / "a", tmp_path / "b"), table=tmp_path / "twice.md")
     text = (tmp_path / "twice.md").read_text()
     assert "- piece a\n- piece b" in text
-    assert "| above | 1 | 2 | 0.800 | 0.800 | 0.000 | 100% |" in text
-    assert "| cut | 1 | 2 | 0.800 | 0.000 | 0.800 | 0% |" in text
+    assert "| ten | above | 1 | 2 | 0.800 | 0.800 | 0.000 | 100% |" in text
+    assert "| ten | cut | 1 | 2 | 0.800 | 0.000 | 0.800 | 0% |" in text
     with pytest.raises(ConfigError, match="give a folder of scenes"):
         main()
 

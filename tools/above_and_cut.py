@@ -115,7 +115,7 @@ def load_scene(folder: Path, ycb: Path | None = None) -> Scene:
     truth = load_truth(folder, ycb)
     frame = load_frame(truth.views[0])
     solids = {label: Solid(mesh) for label, mesh in truth.meshes.items()}
-    return Scene(folder.name, OtherViews(truth), frame, solids, reconstruct(frame))
+    return Scene(f"{folder.parent.name}/{folder.name}", OtherViews(truth), frame, solids, reconstruct(frame))
 
 
 def judge(scene: Scene, cuts: int, rng: np.random.Generator) -> list[dict[str, Any]]:
@@ -197,7 +197,7 @@ def markdown(rows: list[dict[str, Any]], written_by: list[str]) -> str:
         f"the tilted view less that of this one (grid of {1e3 * SPACING:g} mm, at least {LEAST_PIXELS} "
         "pixels in both). Hover: lowest point of the mesh over that of the true object.",
         "",
-        markdown_table([SUMMARY, *(_summary(view, _of(rows, view)) for view in ("above", "cut"))]),
+        markdown_table([["scenes of", *SUMMARY], *_by_set(rows)]),
         "## Scene by scene\n",
         markdown_table([SUMMARY_OF_SCENE, *_by_scene(rows)]),
         f"## Objects that lose more than {CLOSE:g} or hover more than {1e3 * HOVERS:g} mm\n",
@@ -238,11 +238,19 @@ def _summary(view: str, rows: list[dict[str, Any]]) -> list[str]:
         f"{np.mean([row['seen']['iou'] for row in rows]):.3f}",
         f"{np.mean([_loss(row) for row in rows]):.3f}",
         f"{np.mean([_loss(row) <= CLOSE for row in rows]):.0%}",
-        _number(np.nanmedian(hover)) if np.isfinite(hover).any() else "-",
-        _number(np.nanmax(hover)) if np.isfinite(hover).any() else "-",
+        f"{np.nanmedian(hover):.0f}" if np.isfinite(hover).any() else "-",
+        f"{np.nanmax(hover):.0f}" if np.isfinite(hover).any() else "-",
         str(int((hover > 1e3 * HOVERS).sum())),
         f"{np.nanmean(free):.2%}" if np.isfinite(free).any() else "-",
     ]
+
+
+def _by_set(rows: list[dict[str, Any]]) -> list[list[str]]:
+    found = []
+    for name in dict.fromkeys(row["scene"].split("/")[0] for row in rows):
+        mine = [row for row in rows if row["scene"].split("/")[0] == name]
+        found += [[name, *_summary(view, _of(mine, view))] for view in ("above", "cut")]
+    return found
 
 
 def _by_scene(rows: list[dict[str, Any]]) -> list[list[str]]:
@@ -265,8 +273,8 @@ def _object(row: dict[str, Any]) -> list[str]:
         f"{row['tilted']['iou']:.2f}",
         f"{row['seen']['iou']:.2f}",
         f"{_loss(row):.2f}",
-        _number(1e3 * row["tilted"]["hover"]),
-        _number(1e3 * row["seen"]["hover"]),
+        f"{1e3 * row['tilted']['hover']:.0f}",
+        f"{1e3 * row['seen']['hover']:.0f}",
     ]
 
 
@@ -280,10 +288,6 @@ def _loss(row: dict[str, Any]) -> float:
 
 def _odd(row: dict[str, Any]) -> bool:
     return _loss(row) > CLOSE or not row["seen"]["hover"] < HOVERS
-
-
-def _number(value: float) -> str:
-    return f"{value:.0f}"
 
 
 def _pixels(frame: Frame, label: int) -> int:
