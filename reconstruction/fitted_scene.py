@@ -137,7 +137,9 @@ class FittedScene:
         if not self.config.mesh.fusion.enabled:
             return None
         if isinstance(self.observation, JointObservation):
-            return JointSurface.of(self.observation, self.floors)
+            mesh = self.config.mesh
+            thinnest = mesh.spacing / mesh.fusion.refine
+            return JointSurface.of(self.observation, self.floors, thinnest)
         return SeenSurface.of(self.observation, self.frame.depth, self.floors)
 
     @cached_property

@@ -222,6 +222,19 @@ def test_views_from_the_command_line(
     assert "several frames" in capsys.readouterr().err
 
 
+def test_a_sheet_seen_from_both_sides_has_no_holes() -> None:
+    """1.2 mm of it lie between the nodes of a lattice of 2.5 mm."""
+    sheet = Shape("box", (0.0012, 0.14, 0.10), (0.03, 0.0, 0.05), 0.35)
+    block = Shape("box", (0.05, 0.05, 0.05), (-0.02, -0.15, 0.025))
+    frames = [
+        make_tabletop((sheet, block), eye=eye, size=(200, 150), noise=0.001, seed=seed).frame
+        for seed, eye in enumerate(((-0.55, 0.0, 0.35), (0.6, 0.1, 0.35)))
+    ]
+    result = reconstruct(frames)
+    assert result.agreement[1].agreement > 0.93  # lace: 0.85
+    assert result[1].mesh.volume < 0.14 * 0.10 * 0.0035
+
+
 @pytest.mark.slow
 def test_an_update_is_the_map_of_all_views() -> None:
     updated = mapped(0, 1, 2).update(views(5)[3])

@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from perception.camera import Camera, invert_rigid
-from perception.config import PerceptionConfig
-from perception.depth_edges import depth_jump
 from perception.observation import Observation
+from reconstruction.surface.image_edges import BORDER, box_of, edge_pixels, nearest_of
 from reconstruction.surface.smooth_depth import surface_planes
 
 NOT_MEASURED = -2
@@ -23,11 +22,6 @@ BACKGROUND = -1
 """Owners of pixels that are no object's: without depth, and of the table or the room."""
 FAR = 0.1
 """Distances beyond this do not matter to any surface [m]."""
-BORDER = 6
-"""Pixels around an object in which the distance to its silhouette is worked out."""
-SAME_DEPTH = 0.002
-"""Beside an object's edge, a surface this much farther away is beyond the edge [m]; within an object, the
-jump must be one that no slanted surface explains."""
 NOWHERE = -10_000_000
 """Column and row of the pixel that stands for none."""
 LEAST_LATERAL = 5e-5
@@ -92,7 +86,7 @@ class SeenSurface:
         planes = np.zeros((depth.size, 4), np.float32)
         planes[pixels, :3] = own[:, :3] @ T[:3, :3].astype(np.float32)
         planes[pixels, 3] = own[:, 3] - own[:, :3] @ T[:3, 3].astype(np.float32)
-        boxes = [_box(item.pixels, camera.width) for item in observation.objects]
+        boxes = [box_of(item.pixels, camera.width) for item in observation.objects]
         return cls(camera, T, owner, depth, planes, noise, floors, boxes)
 
     @cached_property
@@ -100,6 +94,20 @@ class SeenSurface:
         """A (3, 3) and b (3,) float32 with A x + b = (u z, v z, z)."""
         P = self.camera.K @ self.T_camera_table[:3]
         return P[:, :3].astype(np.float32), P[:, 3].astype(np.float32)
+
+    def pixels_of(self, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]:
+        """Flat pixels (N,) of points, coordinates (3, N) float32 [m]; whether they are in the image, else 0;
+        and u, v [px], z [m], row, column."""
+        A, b = self.projection
+        u, v, z = A @ axes + b[:, None]
+        np.maximum(z, np.float32(1e-4), out=z)
+        u /= z
+        v /= z
+        column, row = np.rint(u).astype(np.int32), np.rint(v).astype(np.int32)
+        camera = self.camera
+        inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+        pixel = np.where(inside, row * np.int32(camera.width) + column, 0)
+        return pixel, inside, (u, v, z, row, column)
 
     def edges(self, index: int) -> Edges:
         """The edges of one object's image."""
@@ -138,11 +146,11 @@ class Edges:
             slice(left, min(columns.stop + BORDER, width)),
         )
         own = seen.owner[part] == index
-        sides = _edge_pixels(own, seen.depth[part], seen.camera)
+        sides = edge_pixels(own, seen.depth[part], seen.camera)
         nearest = np.zeros((2, *(n + 2 for n in own.shape)), np.int32)
         at = [np.full(1, -1, np.int64)]
         for side, found in zip(sides, nearest):
-            number, pixels = _nearest(side)
+            number, pixels = nearest_of(side)
             found[1:-1, 1:-1] = np.where(number > 0, number + (len(np.concatenate(at)) - 1), 0)
             at.append(pixels)
         flat = np.concatenate(at)
@@ -160,16 +168,9 @@ class Edges:
 
     def read(self, points: np.ndarray) -> Reading:
         """What the depth image says of points (N, 3) float32 [m]."""
-        seen, camera = self.seen, self.seen.camera
+        seen = self.seen
         axes = np.ascontiguousarray(points.T)  # each coordinate in one piece
-        A, b = seen.projection
-        u, v, z = A @ axes + b[:, None]
-        np.maximum(z, np.float32(1e-4), out=z)
-        u /= z
-        v /= z
-        column, row = np.rint(u).astype(np.int32), np.rint(v).astype(np.int32)
-        inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-        pixel = np.where(inside, row * np.int32(camera.width) + column, 0)
+        pixel, inside, (u, v, z, row, column) = seen.pixels_of(axes)
         owner = seen.owner.reshape(-1).take(pixel)
         owner[~inside] = NOT_MEASURED
         behind = below(seen.planes, pixel, axes)
@@ -186,6 +187,14 @@ class Edges:
         np.minimum(distance, self.above_floor(axes[2]), out=distance)
         depth = np.where(owned & ~free, behind, np.float32(FAR))
         return Reading(distance, depth, np.where((owner >= 0) & ~owned, behind, np.float32(FAR)))
+
+    def facing(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of what the object shows on the ray through each point: the normal (N, 3) away from the camera, 0
+        where it shows nothing there, and how far the point is behind it (N,) [m]."""
+        pixel, inside, _ = self.seen.pixels_of(points.T)
+        own = inside & (self.seen.owner.reshape(-1).take(pixel) == self.index)
+        normals = np.where(own[:, None], self.seen.planes[pixel, :3], np.float32(0))
+        return normals, below(self.seen.planes, pixel, np.ascontiguousarray(points.T))
 
     def behind(self, points: np.ndarray, distance: float) -> np.ndarray:
         """Points (N, 3) moved by `distance` [m] away from the camera."""
@@ -249,47 +258,3 @@ def _rows(table: np.ndarray, which: np.ndarray) -> np.ndarray:
     # As one complex number a row is fetched in one go.
     whole = table.view(np.complex64 if table.shape[1] == 2 else np.complex128).reshape(-1)
     return whole.take(which).view(np.float32).reshape(-1, table.shape[1]).T
-
-
-def _box(pixels: np.ndarray, width: int) -> tuple[slice, slice]:
-    """Rows and columns of flat indices (N,) in an image of some width."""
-    rows = pixels // width
-    columns = pixels - rows * width
-    return slice(int(rows.min()), int(rows.max()) + 1), slice(int(columns.min()), int(columns.max()) + 1)
-
-
-def _edge_pixels(own: np.ndarray, depth: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (h, w) bool on the near side of an edge of an object's image own (h, w), and on its far side."""
-    # A frame of pixels without depth: on the flat image a step to a neighbour is one shift.
-    framed = np.pad(depth, 1, constant_values=np.nan)
-    shape, depth, own = framed.shape, framed.reshape(-1), np.pad(own, 1).reshape(-1)
-    jump = depth_jump(depth, camera, PerceptionConfig())
-    near, far = np.zeros_like(own), np.zeros_like(own)
-    for step in (1, shape[1], shape[1] + 1, shape[1] - 1):
-        ahead, back = slice(step, None), slice(None, -step)
-        for one, other in ((back, ahead), (ahead, back)):
-            limit = np.where(own[other], jump[one], np.float32(SAME_DEPTH))
-            with np.errstate(invalid="ignore"):
-                edge = own[one] & (depth[other] - depth[one] > limit)
-            near[one] |= edge
-            far[other] |= edge
-    inner = (slice(1, -1), slice(1, -1))
-    return near.reshape(shape)[inner], far.reshape(shape)[inner]
-
-
-def _nearest(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of each place (h, w) the nearest of some pixels (h, w) bool, as its number from 1 on, 0 where none is
-    within BORDER; and where these pixels are (E,), as flat indices."""
-    import cv2
-
-    if not pixels.any():
-        return np.zeros(pixels.shape, np.int32), np.empty(0, np.int64)
-    distance, number = cv2.distanceTransformWithLabels(
-        (~pixels).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    number[distance > BORDER] = 0
-    # OpenCV numbers the pixels; which number is whose stands at the pixels themselves.
-    at = np.flatnonzero(pixels)
-    place = np.empty(len(at), np.int64)
-    place[number.reshape(-1)[at] - 1] = at
-    return number, place
