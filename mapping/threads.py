@@ -17,6 +17,8 @@ from typing import TypeVar
 import torch
 from typing_extensions import Self
 
+from mapping.forks import note_worker
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -89,6 +91,7 @@ class Threads:
         self._workers: list[threading.Thread] = []
 
     def __enter__(self) -> Self:
+        note_worker()
         if self.count > 1:
             with _shared.lock:
                 if _shared.open == 0:
@@ -147,6 +150,7 @@ class Threads:
     def _serve(self) -> None:
         # Every thread must be told: MKL keeps its count thread by thread, and its sums, to the last bit,
         # depend on it.
+        note_worker()
         _one_core()
         _inside.work = True
         while (work := self._work.get()) is not None:

@@ -25,8 +25,6 @@ def digests(*arguments: str) -> dict[str, set[str]]:
     return found
 
 
-# Slow: a fork after work on several threads may hang for good in MKL's allocator (mm_account_ptr_by_tid).
-@pytest.mark.slow
 def test_two_threads_and_a_fork_give_the_same_meshes() -> None:
     found = digests()
     assert set(found) == {"alone", "thread", "again"} | ({"fork"} if hasattr(os, "fork") else set())
