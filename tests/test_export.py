@@ -17,6 +17,7 @@ from reconstruction.export.coacd_process import CoacdProcess
 from reconstruction.export.collision import CollisionConfig, convex_parts
 from reconstruction.export.export_scene import ExportConfig, ExportScene
 from reconstruction.export.formats import FORMATS, export
+from reconstruction.export.hulls import convex_hull
 from reconstruction.export.parts_error import parts_error
 from reconstruction.files.mesh_files import encode_ply
 from reconstruction.files.result_folder import load_result, save_reconstruction
@@ -200,8 +201,8 @@ def test_parts_come_from_the_cache_the_second_time(tmp_path, monkeypatch):
 
 def test_splinters_that_engines_refuse_are_left_out():
     flat = np.array([[0, 0, 0], [0.01, 0, 0], [0, 0.01, 0], [0.01, 0.01, 1e-9]])
-    assert collision.convex_hull(flat) is None
-    assert collision.convex_hull(flat + np.array([[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 1e-3]])) is not None
+    assert convex_hull(flat) is None
+    assert convex_hull(flat + np.array([[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 1e-3]])) is not None
 
 
 def test_what_takes_too_long_becomes_its_hull_and_says_so(tmp_path, monkeypatch):

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from mapping.errors import ConfigError
+from mapping.errors import ConfigError, DataError
 from perception.camera import Camera, look_at
 from sim_scenes.objects.object_model import ObjectModel
 from sim_scenes.tabletop import PlacedObject, Tabletop
 from tools.cli import main
+from tools.grasping import vgn
 from tools.grasping.antipodal import plan
 from tools.grasping.attempt import STRICT, Protocol, attempt
 from tools.grasping.clearance import clear, lowest
@@ -20,6 +21,7 @@ from tools.grasping.hand import Grasp, HandConfig, hand_boxes, hand_pose
 from tools.grasping.play import condition, play
 from tools.grasping.rounds import Round, RoundConfig, graspable, side_by_side
 from tools.grasping.shapes import Shapes
+from tools.grasping.vgn_network import LAYERS, chosen_voxels, load_network
 
 HAND = HandConfig()
 DOWN, ACROSS = np.array([0.0, 0.0, -1.0]), np.array([0.0, 1.0, 0.0])
@@ -143,7 +145,8 @@ def test_a_round_on_true_shapes_clears_the_table_and_repeats_itself():
 
 def test_objects_that_the_hand_cannot_take_are_not_drawn_and_packed_ones_stand_apart():
     config = RoundConfig()
-    assert graspable(block("fits", (0.1, 0.1, 0.05)), config)
+    assert graspable(block("fits", (0.1, 0.05, 0.1)), config)
+    assert not graspable(block("lies", (0.1, 0.1, 0.05)), config)
     assert not graspable(block("wide", (0.1, 0.1, 0.1)), config)
     assert not graspable(block("long", (0.3, 0.05, 0.05)), config)
     assert not graspable(block("flat", (0.1, 0.1, 0.005)), config)
@@ -192,6 +195,8 @@ def test_differences_are_taken_over_shared_rounds_and_coverage_keeps_the_best_sc
         (["--conditions", "nonsense"], "valid conditions: raw, tsdf"),
         (["--arrangements", "heap"], "valid: packed, pile"),
         (["--rounds", "0"], "--rounds"),
+        (["--conditions", "vgn-raw"], "--vgn FILE"),
+        (["--vgn", "nowhere.pth"], "not the weights of VGN"),
     ],
 )
 def test_senseless_arguments_are_refused_in_one_line(words, said, tmp_path, capsys):
@@ -201,6 +206,67 @@ def test_senseless_arguments_are_refused_in_one_line(words, said, tmp_path, caps
     assert len(error.strip().splitlines()) == 1
     with pytest.raises(ConfigError):
         condition("nonsense")
+
+
+def vgn_weights(path, seed: int = 0):
+    """Weights of the network's shape, drawn at random."""
+    import torch
+
+    torch.manual_seed(seed)
+    sizes = [(1, 16, 5), (16, 32, 3), (32, 64, 3), (64, 64, 3), (64, 32, 3), (32, 16, 5)]
+    sizes += [(16, 1, 5), (16, 4, 5), (16, 1, 5)]
+    state = {}
+    for name, (inner, outer, k) in zip(LAYERS, sizes):
+        state[f"{name}.weight"] = 0.05 * torch.randn(outer, inner, k, k, k)
+        state[f"{name}.bias"] = torch.zeros(outer)
+    torch.save(state, path)
+    return path
+
+
+def test_the_grasp_network_answers_for_every_voxel_and_refuses_other_files(tmp_path):
+    network = load_network(vgn_weights(tmp_path / "weights.pth"))
+    quality, turns, widths = network(np.random.default_rng(0).random((40, 40, 40)))
+    assert quality.shape == widths.shape == (40, 40, 40)
+    assert ((quality > 0) & (quality < 1)).all()
+    assert np.allclose(np.linalg.norm(turns, axis=-1), 1, atol=1e-5)
+    (tmp_path / "other.pth").write_bytes(b"no weights")
+    with pytest.raises(DataError, match="not the weights of VGN"):
+        load_network(tmp_path / "other.pth")
+
+
+def test_voxels_are_chosen_near_surfaces_from_outside_at_peaks_above_the_threshold():
+    tsdf = np.zeros((40, 40, 40), np.float32)
+    tsdf[10:30, 10:30, 10] = 0.3  # within a body
+    tsdf[10:30, 10:30, 11:13] = 0.7  # outside of it
+    quality, widths = np.zeros_like(tsdf), np.full_like(tsdf, 5.0)
+    quality[17:24, 17:24, 9:16] = 1.0
+    quality[0:8, 0:8, 30:38] = 1.0  # far from any surface
+    index, score = chosen_voxels(tsdf, quality, widths)
+    assert len(index) >= 1
+    assert (score >= 0.9).all()
+    assert ((index[:, 2] >= 11) & (index[:, 2] <= 14)).all()
+    assert len(chosen_voxels(tsdf, quality, np.full_like(tsdf, 20.0))[0]) == 0
+    assert len(chosen_voxels(tsdf, 0.5 * quality, widths)[0]) == 0
+
+
+def test_vgns_grasp_comes_back_in_the_world(monkeypatch):
+    mesh = block("one", (0.05, 0.04, 0.08)).mesh
+    mesh.apply_translation([0.3, -0.2, 0])
+
+    def network(tsdf):
+        turns = np.zeros((*tsdf.shape, 4))
+        turns[..., 0] = 1  # half a turn about x: down
+        assert (tsdf > 0).any()
+        return np.zeros_like(tsdf), turns, np.full(tsdf.shape, 4.0)
+
+    monkeypatch.setattr(vgn, "chosen_voxels", lambda *_: (np.array([[20, 20, 18]]), np.array([1.0])))
+    grasp = vgn.plan(Shapes(None, {1: mesh}, {}), network)  # type: ignore[arg-type]
+    assert grasp is not None
+    assert np.allclose(grasp.T_world_hand[:3, 2], [0, 0, -1])
+    voxel = 0.3 / 40
+    expected = [0.3 - 0.15 + 20 * voxel, -0.2 - 0.15 + 20 * voxel, -0.05 + 18 * voxel - vgn.TIPS]
+    assert np.allclose(grasp.T_world_hand[:3, 3], expected)
+    assert grasp.width == pytest.approx(4 * voxel)
 
 
 @pytest.mark.slow

@@ -21,12 +21,11 @@ from mapping.errors import DataError
 from mapping.files import cache_dir, write_atomically
 from mapping.guarded_files import read_npz
 from reconstruction.export.coacd_process import CoacdProcess
+from reconstruction.export.hulls import convex_hull
 from reconstruction.export.parts_error import parts_error
+from reconstruction.export.refine import refined
 
-LEAST_VOLUME = 1e-11
-"""Splinters smaller than this [m^3], a fifth of a millimetre in size, are left out: engines refuse flat
-parts."""
-VERSION = "1"
+VERSION = "2"
 """Changes when the same mesh would be cut differently by this code."""
 
 
@@ -36,6 +35,8 @@ class CollisionConfig:
 
     concavity: float = 0.003
     """Largest concavity left in a part [m]."""
+    bulge: float = 0.0025
+    """A part that reaches further out of the mesh than this is halved [m]."""
     simplify: float = 0.0012
     """The mesh is simplified by this much before it is cut [m]."""
     convex_within: float = 0.002
@@ -135,7 +136,7 @@ def _cut(mesh: trimesh.Trimesh, config: CollisionConfig, process: CoacdProcess) 
     simple, manifold = simplified(mesh, config.simplify)
     if not manifold:
         settings["preprocess_mode"] = "on"
-    return process.cut(simple, settings, config.time_limit_s)
+    return refined(process.cut(simple, settings, config.time_limit_s), mesh, config.bulge)
 
 
 def simplified(mesh: trimesh.Trimesh, tolerance: float) -> tuple[trimesh.Trimesh, bool]:
@@ -151,25 +152,6 @@ def simplified(mesh: trimesh.Trimesh, tolerance: float) -> tuple[trimesh.Trimesh
         return mesh, False
     simple = solid.simplify(tolerance).to_mesh()
     return trimesh.Trimesh(simple.vert_properties[:, :3].astype(float), simple.tri_verts, process=False), True
-
-
-def convex_hull(points: np.ndarray) -> trimesh.Trimesh | None:
-    """The closed convex hull of a part; None when it is flat, which no engine accepts."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    try:
-        found = ConvexHull(points)
-    except (QhullError, ValueError):
-        return None
-    number = np.zeros(len(points), int)
-    number[found.vertices] = np.arange(len(found.vertices))
-    corners, faces = points[found.vertices], number[found.simplices]
-    # Qhull leaves the winding open; outwards is where its plane's normal points.
-    a, b, c = (corners[faces[:, i]] for i in range(3))
-    inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), found.equations[:, :3]) < 0
-    faces[inwards] = faces[inwards, ::-1]
-    hull = trimesh.Trimesh(corners, faces, process=False)
-    return hull if hull.volume > LEAST_VOLUME else None
 
 
 def _cached_path(mesh: trimesh.Trimesh, config: CollisionConfig) -> Path:

@@ -17,8 +17,10 @@ import trimesh
 from mapping.errors import ConfigError
 from perception.camera import invert_rigid, transform
 from perception.frame import Frame
+from reconstruction.export.apart import kept_apart
 from reconstruction.export.collision import CollisionConfig, ConvexParts, convex_parts
 from reconstruction.export.footing import with_footing
+from reconstruction.export.parts_error import parts_error
 from reconstruction.files.result_folder import StoredResult
 from reconstruction.files.scene_json import OTHER_FOLDER, object_folder
 
@@ -31,6 +33,8 @@ class ExportConfig:
     """Mass per volume of the objects [kg/m^3]: a filled box of groceries."""
     friction: float = 0.8
     """Coefficient of friction written for the objects."""
+    rolling: float = 0.002
+    """Friction against rolling [m]: round things that were seen at rest do not roll away."""
     inflate: float | None = None
     """Collision shapes and distances take in whatever is occupied with more than this probability (0..1);
     None: the meshes as they are."""
@@ -127,12 +131,12 @@ class ExportScene:
     def parts(self) -> dict[int, ConvexParts]:
         """Label -> convex parts [m] of the object's solid, in the object's frame."""
         cut = convex_parts([item.solid for item in self.objects], CollisionConfig(), self._progress)
-        if not self.support_found:
-            return {item.label: parts for item, parts in zip(self.objects, cut)}
-        return {
-            item.label: with_footing(parts, item.solid, self._support_height(item))
-            for item, parts in zip(self.objects, cut)
-        }
+        if self.support_found:
+            heights = [self._support_height(item) for item in self.objects]
+            cut = [
+                with_footing(*of_one) for of_one in zip(cut, (item.solid for item in self.objects), heights)
+            ]
+        return self._apart({item.label: parts for item, parts in zip(self.objects, cut)})
 
     @property
     def has_parts(self) -> bool:
@@ -162,6 +166,22 @@ class ExportScene:
     def _support_height(self, item: ExportObject) -> float:
         """z of the support plane in an object's frame [m]: the z axes are parallel."""
         return float((invert_rigid(item.T_world_object) @ self.T_world_table)[2, 3])
+
+    def _apart(self, parts: dict[int, ConvexParts]) -> dict[int, ConvexParts]:
+        """The parts, cut where those of two objects overlap. All z axes are parallel: one frame for all."""
+        T_table_world = invert_rigid(self.T_world_table)
+        poses = {item.label: T_table_world @ item.T_world_object for item in self.objects}
+        placed = {
+            label: tuple(moved(part, poses[label]) for part in of_one.parts)
+            for label, of_one in parts.items()
+        }
+        apart, found = kept_apart(placed), dict(parts)
+        for item in self.objects:
+            kept = apart[item.label]
+            if kept != placed[item.label]:
+                own = tuple(moved(part, invert_rigid(poses[item.label])) for part in kept)
+                found[item.label] = ConvexParts(own, *parts_error(item.solid, own))
+        return found
 
     def collision_statement(self) -> dict[str, Any]:
         """Number of convex parts of each object, and how far they are from its surface [mm]."""

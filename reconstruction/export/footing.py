@@ -10,14 +10,19 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from reconstruction.export.collision import ConvexParts, convex_hull
+from reconstruction.export.collision import ConvexParts
+from reconstruction.export.hulls import convex_hull
 from reconstruction.export.parts_error import parts_error
+from reconstruction.export.refine import bulges
+from reconstruction.solid import Solid
 
 REACH = 0.004
 """An object whose lowest point is this near the support stands on it [m]."""
-PATCH = 0.003
+PATCH = 0.0025
 """All of the surface that is this near the support touches it [m]: no more than the parts are wrong
 anyway."""
+BULGE = 0.0027
+"""A part that would reach further out of the mesh with its foot gets none [m]."""
 
 
 def with_footing(parts: ConvexParts, solid: trimesh.Trimesh, support: float) -> ConvexParts:
@@ -27,11 +32,33 @@ def with_footing(parts: ConvexParts, solid: trimesh.Trimesh, support: float) -> 
     """
     if abs(float(solid.bounds[0, 2]) - support) > REACH:
         return parts
-    hulls = [convex_hull(_on_the_plane(np.asarray(part.vertices), support)) for part in parts.parts]
-    found = tuple(hull for hull in hulls if hull is not None)
+    body = Solid(solid)
+    found = tuple(
+        hull
+        for part in parts.parts
+        if (hull := _footed(np.asarray(part.vertices), support, body)) is not None
+    )
     return ConvexParts(found, *parts_error(solid, found)) if found else parts
 
 
+def _footed(points: np.ndarray, support: float, body: Solid) -> trimesh.Trimesh | None:
+    """A part that ends at the support, with its foot where that is no more wrong than the part."""
+    if points[:, 2].min() >= support + PATCH:
+        return convex_hull(points)
+    hull = convex_hull(_on_the_plane(points, support))
+    if hull is not None and bulges([hull], body)[0][0] > BULGE:
+        return convex_hull(_raised(points, support))
+    return hull
+
+
+def _raised(points: np.ndarray, support: float) -> np.ndarray:
+    return np.column_stack([points[:, :2], np.maximum(points[:, 2], support)])
+
+
 def _on_the_plane(points: np.ndarray, support: float) -> np.ndarray:
-    height = points[:, 2]
-    return np.column_stack([points[:, :2], np.where(height < support + PATCH, support, height)])
+    """The points, none below the support, and below those that are near it their places on it as well: parts
+    that lie there as a whole stay as thick as they are."""
+    near = points[points[:, 2] < support + PATCH]
+    return np.concatenate(
+        [_raised(points, support), np.column_stack([near[:, :2], np.full(len(near), support)])]
+    )

@@ -12,6 +12,10 @@ from reconstruction.files.mesh_files import encode_obj
 
 GRAVITY = 9.81
 """[m/s^2], along the support's normal, downwards."""
+TURNING = 0.005
+"""Friction against turning on the spot [m]."""
+CONTACT = "6"
+"""MuJoCo's contacts that resist sliding, turning and rolling."""
 SEEN_GROUP, CONVEX_GROUP = "2", "3"
 """MuJoCo's viewer shows group 2 and hides group 3."""
 STATEMENT = {
@@ -26,7 +30,8 @@ def write(scene: ExportScene, folder: Path) -> None:
     root = xml.Element("mujoco", model="contramap_scene")
     root.append(xml.Comment(" world frame, m, kg, quaternions w x y z "))
     xml.SubElement(root, "compiler", meshdir="meshes", angle="radian")
-    xml.SubElement(root, "option", gravity=_numbers(-GRAVITY * scene.up))
+    # Round things and stacks stay where they were seen: contacts resist rolling, and sliding is stiff.
+    xml.SubElement(root, "option", gravity=_numbers(-GRAVITY * scene.up), cone="elliptic", impratio="10")
     # Up to a hundred small parts an object: memory for their contacts.
     xml.SubElement(root, "size", memory="256M")
     assets, world = xml.SubElement(root, "asset"), xml.SubElement(root, "worldbody")
@@ -53,6 +58,7 @@ def _support(world: xml.Element, scene: ExportScene) -> None:
         pos=_numbers(T[:3, 3]),
         quat=_numbers(np.array([w, x, y, z])),
         friction=_friction(scene),
+        condim=CONTACT,
     )
 
 
@@ -94,12 +100,13 @@ def _body(
             mass="0",
             group=CONVEX_GROUP,
             friction=_friction(scene),
+            condim=CONTACT,
         )
 
 
 def _friction(scene: ExportScene) -> str:
     """Sliding, turning [m] and rolling [m]."""
-    return f"{scene.config.friction:g} 0.005 0.0001"
+    return f"{scene.config.friction:g} {TURNING:g} {scene.config.rolling:g}"
 
 
 def _numbers(values: np.ndarray) -> str:

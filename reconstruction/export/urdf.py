@@ -8,7 +8,7 @@ from xml.etree import ElementTree as xml
 import numpy as np
 import trimesh
 
-from reconstruction.export.export_scene import ExportObject, ExportScene
+from reconstruction.export.export_scene import ExportConfig, ExportObject, ExportScene
 from reconstruction.export.poses import write_poses
 from reconstruction.files.mesh_files import encode_obj
 
@@ -33,7 +33,7 @@ def write(scene: ExportScene, folder: Path) -> None:
         single = xml.Element("robot", name=item.key)
         single.append(xml.Comment(" object frame, m, kg; the pose in the world is in poses.json "))
         for robot in (single, whole):
-            robot.append(_link(item, len(parts), scene.config.density, scene.config.friction))
+            robot.append(_link(item, len(parts), scene.config))
         _save(single, folder / f"{item.key}.urdf")
         whole.append(_fixed_joint(item))
     _save(whole, folder / "scene.urdf")
@@ -47,9 +47,9 @@ def _write_meshes(item: ExportObject, parts: tuple[trimesh.Trimesh, ...], folder
         (folder / f"part_{index:03d}.obj").write_bytes(encode_obj(part))
 
 
-def _link(item: ExportObject, parts: int, density: float, friction: float) -> xml.Element:
+def _link(item: ExportObject, parts: int, config: ExportConfig) -> xml.Element:
     link = xml.Element("link", name=item.key)
-    mass, centre, tensor = item.inertia(density)
+    mass, centre, tensor = item.inertia(config.density)
     inertial = xml.SubElement(link, "inertial")
     xml.SubElement(inertial, "origin", xyz=_numbers(centre), rpy="0 0 0")
     xml.SubElement(inertial, "mass", value=f"{mass:.9g}")
@@ -60,7 +60,9 @@ def _link(item: ExportObject, parts: int, density: float, friction: float) -> xm
     xml.SubElement(inertial, "inertia", values)
     # Read by pybullet, passed over by others.
     contact = xml.SubElement(link, "contact")
-    xml.SubElement(contact, "lateral_friction", value=f"{friction:g}")
+    xml.SubElement(contact, "lateral_friction", value=f"{config.friction:g}")
+    xml.SubElement(contact, "rolling_friction", value=f"{config.rolling:g}")
+    xml.SubElement(contact, "spinning_friction", value=f"{config.rolling:g}")
     _geometry(link, "visual", f"meshes/{item.key}/visual.obj")
     for index in range(parts):
         _geometry(link, "collision", f"meshes/{item.key}/part_{index:03d}.obj")

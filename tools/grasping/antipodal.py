@@ -48,11 +48,11 @@ class DoubtConfig:
     """Weight of p(uncertain) at the contacts."""
     way: float = 0.5
     """Weight of what may be in the hand's way: the probability that unsure space there is occupied."""
-    spacing: float = 0.008
+    spacing: float = 0.012
     """Points in the hand's way are this far apart [m]."""
     behind: float = 0.05
     """The last part of the way in that is looked at [m]."""
-    found: int = 200
+    found: int = 80
     """Clear grasps that are weighed."""
 
 

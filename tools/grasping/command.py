@@ -27,6 +27,7 @@ def grasps(
     strict: bool = False,
     part: str = "held-out",
     ycb: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    vgn: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     seed: int = 0,
     workers: int = 1,
     pictures: int = 1,
@@ -47,10 +48,12 @@ def grasps(
         objects: ycb, builtin, figures, auto (scans where found), or folders of closed meshes in metres.
         arrangements: packed (upright, side by side) and pile (dropped on a heap).
         rounds: Rounds for each of --objects and --arrangements; with --scenes the most scenes played.
-        conditions: truth, raw, tsdf, vprism, contramap, contramap-unsure (unsure space costs score).
+        conditions: truth, raw, tsdf, vprism, contramap, contramap-unsure (unsure space costs score); with
+            --vgn also vgn-raw, vgn-contramap and vgn-truth.
         strict: Lift by 20 cm and shake for two seconds.
         part: Of a folder's objects: all, train or held-out, by name.
         ycb: Folder of YCB scans; otherwise where scans are looked for.
+        vgn: Weights of the grasp network VGN (assets/models/vgn_conv.pth of ethz-asl/vgn).
         seed: Seed of rounds and planners.
         workers: Rounds at a time, each in a process of one thread.
         pictures: Rounds of each kind whose attempts are drawn.
@@ -63,7 +66,12 @@ def grasps(
 
     names = tuple(dict.fromkeys(conditions))
     for name in names:
-        condition(name)
+        if condition(name).planner == "vgn" and vgn is None:
+            raise ConfigError(f"condition {name} needs the weights of VGN: --vgn FILE")
+    if vgn is not None:
+        from tools.grasping.vgn_network import load_network
+
+        load_network(vgn)
     if wrong := set(arrangements) - set(ARRANGEMENTS):
         raise ConfigError(f"unknown arrangement {wrong.pop()!r}; valid: {', '.join(ARRANGEMENTS)}")
     if rounds < 1 or workers < 1 or seed < 0:
@@ -81,17 +89,26 @@ def grasps(
             for index, source, arrangement in product(range(rounds), sources, dict.fromkeys(arrangements))
         ]
     drawn = pictures if scenes is not None else pictures * len(sources) * len(set(arrangements))
-    jobs = [_job(out, names, seed, strict, kind, number < drawn, ycb) for number, kind in enumerate(kinds)]
+    jobs = [
+        _job(out, names, seed, strict, kind, number < drawn, ycb, vgn) for number, kind in enumerate(kinds)
+    ]
     failures = _run(jobs, workers)
     _finish(jobs, failures, json)
 
 
 def _job(
-    out: Path, names: tuple[str, ...], seed: int, strict: bool, kind: dict, pictures: bool, ycb: Path | None
+    out: Path,
+    names: tuple[str, ...],
+    seed: int,
+    strict: bool,
+    kind: dict,
+    pictures: bool,
+    ycb: Path | None,
+    vgn: Path | None,
 ) -> GraspJob:
     from tools.grasping.job import GraspJob
 
-    return GraspJob(out, names, seed, strict, pictures=pictures, ycb_dir=ycb, **kind)
+    return GraspJob(out, names, seed, strict, pictures=pictures, ycb_dir=ycb, vgn=vgn, **kind)
 
 
 def _run(jobs: list[GraspJob], workers: int) -> list[dict[str, str]]:

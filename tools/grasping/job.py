@@ -21,6 +21,7 @@ from sim_scenes.objects.mesh_folder import FolderConfig
 from tools.grasping.attempt import STRICT, Protocol
 from tools.grasping.play import condition, play
 from tools.grasping.rounds import Round, RoundConfig, composed, from_scene
+from tools.grasping.vgn_network import load_network
 from tools.runs.kept import read_kept
 
 FORMAT = 1
@@ -57,6 +58,7 @@ class GraspJob:
     scene: Path | None = None
     pictures: bool = False
     ycb_dir: Path | None = None
+    vgn: Path | None = None
 
     @property
     def group(self) -> str:
@@ -126,6 +128,7 @@ def run_round(job: GraspJob) -> list[dict[str, str]]:
     todo = job.missing
     try:
         start = job.start() if todo else None
+        network = load_network(job.vgn) if job.vgn is not None else None
     except ContraMapError as error:
         return [{"round": job.name, "condition": name, "error": str(error)} for name in todo]
     failures = []
@@ -134,7 +137,8 @@ def run_round(job: GraspJob) -> list[dict[str, str]]:
         album = Album(job.out / "pictures", f"{name}_{job.name}") if job.pictures else None
         try:
             seed = [job.seed, crc32(job.name.encode())]
-            result = play(start, condition(name), job.protocol, seed, look=album or (lambda *_: None))
+            look = album or (lambda *_: None)
+            result = play(start, condition(name), job.protocol, seed, look=look, network=network)
         except Exception as error:  # whatever a method does, the other conditions go on
             failures.append(
                 {"round": job.name, "condition": name, "error": f"{type(error).__name__}: {error}"}

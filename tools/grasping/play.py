@@ -18,11 +18,13 @@ from perception.frame import Frame
 from sim_scenes.render import Renderer
 from sim_scenes.surroundings import Surroundings
 from sim_scenes.tabletop import PlacedObject, Tabletop, TabletopConfig
+from tools.grasping import vgn
 from tools.grasping.antipodal import DoubtConfig, plan
 from tools.grasping.attempt import Outcome, Protocol, attempt
 from tools.grasping.hand import Grasp, HandConfig
 from tools.grasping.rounds import Round
 from tools.grasping.shapes import Shapes, shapes_of
+from tools.grasping.vgn_network import Network
 
 FAILURES = 2
 """Failures in a row that end a round."""
@@ -49,6 +51,9 @@ CONDITIONS = {
         Condition("contramap", "antipodal", "contramap", "ContraMap's meshes"),
         Condition("contramap-unsure", "unsure", "contramap", "ContraMap's meshes, unsure space costs score"),
         Condition("truth", "antipodal", "truth", "the true meshes"),
+        Condition("vgn-raw", "vgn", "raw", "VGN on the measured TSDF"),
+        Condition("vgn-contramap", "vgn", "contramap", "VGN on the TSDF of ContraMap's meshes"),
+        Condition("vgn-truth", "vgn", "truth", "VGN on the TSDF of the true meshes"),
     )
 }
 
@@ -79,10 +84,11 @@ def play(
     seed: Sequence[int],
     hand: HandConfig | None = None,
     look: Look = lambda *_: None,
+    network: Network | None = None,
 ) -> dict[str, Any]:
     """Attempts of one round as plain values, and how many objects there were and were cleared.
 
-    Every attempt is drawn from `seed`, the round's and the attempt's number alone.
+    network: VGN, for the conditions that need it. Every attempt is drawn from `seed` and its number alone.
     """
     hand = hand or HandConfig()
     tries: list[dict[str, Any]] = []
@@ -102,7 +108,7 @@ def play(
                 seen = Seen(
                     placed, start.camera, shapes_of(chosen.source, _frame(placed, start.camera), placed, rng)
                 )
-                grasp = _planned(chosen, seen.shapes, hand, rng)
+                grasp = _planned(chosen, seen.shapes, hand, rng, network)
             except DataError:  # nothing that could be mapped is in sight
                 grasp = None
             plan_s = perf_counter() - before
@@ -125,7 +131,17 @@ def play(
     return {"objects": len(start.placed), "cleared": cleared, "ended": ended, "attempts": tries}
 
 
-def _planned(chosen: Condition, shapes: Shapes, hand: HandConfig, rng: np.random.Generator) -> Grasp | None:
+def _planned(
+    chosen: Condition,
+    shapes: Shapes,
+    hand: HandConfig,
+    rng: np.random.Generator,
+    network: Network | None,
+) -> Grasp | None:
+    if chosen.planner == "vgn":
+        if network is None:
+            raise ConfigError(f"condition {chosen.name} needs the weights of VGN: --vgn FILE")
+        return vgn.plan(shapes, network)
     return plan(shapes, hand, rng, DoubtConfig() if chosen.planner == "unsure" else None)
 
 

@@ -34,8 +34,9 @@ class RoundConfig:
 
     objects: int = 5
     """Objects a round."""
-    narrowest: tuple[float, float] = (0.015, 0.07)
-    """An object's smallest width [m]: what the hand can take from some side at all."""
+    narrowest: tuple[float, float] = (0.015, 0.065)
+    """An object's smallest width as it stands, from above [m], and the least from any side: what the hand can
+    take at all."""
     longest: float = 0.25
     """Largest extent of an object [m]."""
     radius: float = 0.14
@@ -104,10 +105,11 @@ def composed(
 def graspable(model: ObjectModel, config: RoundConfig) -> bool:
     """Whether the hand can take an object from some side."""
     corners = np.asarray(model.mesh.convex_hull.vertices)
-    directions = _directions(200)
-    narrowest = np.ptp(corners @ directions.T, axis=0).min()
+    turns = np.pi * np.arange(36) / 36
+    level = np.stack([np.cos(turns), np.sin(turns), np.zeros(36)], axis=1)
+    thinnest, across = (np.ptp(corners @ ways.T, axis=0).min() for ways in (_directions(200), level))
     low, high = config.narrowest
-    return bool(low <= narrowest <= high and model.mesh.extents.max() <= config.longest)
+    return bool(thinnest >= low and across <= high and model.mesh.extents.max() <= config.longest)
 
 
 def side_by_side(

@@ -1,0 +1,80 @@
+"""Convex parts of different objects kept apart: where two overlap, both end at a plane between them.
+
+Surfaces that were guessed may reach into a neighbour by millimetres; physics would throw both away. Knows
+convex meshes in one frame; knows nothing of formats.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import trimesh
+
+from reconstruction.export.hulls import convex_hull
+
+GAP = 0.0004
+"""Left between two parts that were cut apart [m]: what engines keep between bodies anyway."""
+Parts = tuple[trimesh.Trimesh, ...]
+
+
+def kept_apart(objects: Mapping[int, Parts]) -> dict[int, Parts]:
+    """Label -> convex parts [m] of objects in one frame, none of which overlaps one of another object.
+
+    An object always keeps at least one part: one that would lose all stays as it was.
+    """
+    found = {label: list(parts) for label, parts in objects.items()}
+    labels = list(found)
+    for number, first in enumerate(labels):
+        for second in labels[number + 1 :]:
+            _separate(found[first], found[second])
+    return {
+        label: tuple(part for part in found[label] if part is not None) or objects[label] for label in found
+    }
+
+
+def _separate(first: list, second: list) -> None:
+    """Cut the parts of two objects where they overlap, in place; what is lost whole becomes None."""
+    for i in range(len(first)):
+        for j in range(len(second)):
+            if first[i] is None or second[j] is None:
+                continue
+            plane = overlap(first[i], second[j])
+            if plane is None:
+                continue
+            normal, low, high = plane
+            middle = (low + high) / 2
+            first[i] = below(first[i], normal, middle - GAP / 2)
+            second[j] = below(second[j], -normal, -middle - GAP / 2)
+
+
+def overlap(first: trimesh.Trimesh, second: trimesh.Trimesh) -> tuple[np.ndarray, float, float] | None:
+    """A direction n (3,) along which two convex meshes overlap least, of their faces' normals: the second
+    begins at n x = low and the first ends at n x = high > low [m]. None when one of them parts the two."""
+    (low, high), (other_low, other_high) = first.bounds, second.bounds
+    if (low >= other_high).any() or (other_low >= high).any():
+        return None
+    a, b = np.asarray(first.vertices), np.asarray(second.vertices)
+    normals = np.concatenate([first.face_normals, -second.face_normals, np.eye(3), -np.eye(3)])
+    ends, begins = (normals @ a.T).max(1), (normals @ b.T).min(1)
+    depth = ends - begins
+    best = int(depth.argmin())
+    if depth[best] <= 0:
+        return None
+    return normals[best], float(begins[best]), float(ends[best])
+
+
+def below(part: trimesh.Trimesh, normal: np.ndarray, height: float) -> trimesh.Trimesh | None:
+    """What of a convex mesh lies where normal x <= height [m]; None when that is nothing or a splinter."""
+    vertices = np.asarray(part.vertices)
+    above = vertices @ normal - height
+    if (above <= 0).all():
+        return part
+    if (above >= 0).all():
+        return None
+    edges = np.asarray(part.edges_unique)
+    ends = above[edges]
+    crossed = (ends[:, 0] < 0) != (ends[:, 1] < 0)
+    share = (ends[crossed, 0] / (ends[crossed, 0] - ends[crossed, 1]))[:, None]
+    a, b = vertices[edges[crossed, 0]], vertices[edges[crossed, 1]]
+    return convex_hull(np.concatenate([vertices[above <= 0], a + share * (b - a)]))

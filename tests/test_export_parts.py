@@ -1,0 +1,88 @@
+"""Convex parts: none bulges out of its mesh, none reaches into a neighbour, feet are flat and parts stay."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from reconstruction.export.apart import GAP, below, kept_apart, overlap
+from reconstruction.export.collision import ConvexParts
+from reconstruction.export.footing import PATCH, with_footing
+from reconstruction.export.hulls import convex_hull
+from reconstruction.export.parts_error import parts_error
+from reconstruction.export.refine import refined
+from reconstruction.solid import Solid
+
+
+def box(size, middle) -> trimesh.Trimesh:
+    found = trimesh.creation.box(size)
+    found.apply_translation(middle)
+    return found
+
+
+def test_two_boxes_that_overlap_are_cut_at_a_plane_between_them():
+    one, two = box((0.1, 0.1, 0.1), (0, 0, 0)), box((0.1, 0.08, 0.08), (0.095, 0, 0))
+    normal, low, high = overlap(one, two)
+    assert np.allclose(normal, [1, 0, 0])
+    assert high - low == pytest.approx(0.005)
+    apart = kept_apart({1: (one,), 2: (two,)})
+    (first,), (second,) = apart[1], apart[2]
+    assert first.bounds[1, 0] == pytest.approx(0.0475 - GAP / 2)
+    assert second.bounds[0, 0] == pytest.approx(0.0475 + GAP / 2)
+    assert overlap(first, second) is None
+    assert first.is_watertight
+    assert second.volume == pytest.approx(0.08 * 0.08 * (0.145 - 0.0475 - GAP / 2))
+
+
+def test_parts_that_do_not_overlap_stay_as_they_are_and_an_object_never_loses_all():
+    one, two, far = box((0.1,) * 3, (0, 0, 0)), box((0.1,) * 3, (0.11, 0, 0)), box((0.1,) * 3, (1, 0, 0))
+    apart = kept_apart({1: (one,), 2: (two, far)})
+    assert apart[1][0] is one
+    assert apart[2] == (two, far)
+    tiny = box((1e-3,) * 3, (0, 0, 0))
+    assert kept_apart({1: (box((0.1,) * 3, (0, 0, 0)),), 2: (tiny,)})[2]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_hulls_in_any_attitude_do_not_overlap_when_cut(seed):
+    rng = np.random.default_rng(seed)
+    clouds = [rng.normal(size=(30, 3)) * 0.03, rng.normal(size=(30, 3)) * 0.03 + [0.07, 0, 0]]
+    one, two = (convex_hull(cloud) for cloud in clouds)
+    apart = kept_apart({1: (one,), 2: (two,)})
+    assert overlap(apart[1][0], apart[2][0]) is None
+    for before, after in ((one, apart[1][0]), (two, apart[2][0])):
+        corners = after.vertices.astype(np.float32)
+        solid = Solid(before)
+        assert (solid.inside(corners) | (solid.distance(corners) < 1e-5)).all()
+
+
+def test_a_part_is_cut_below_a_height_and_dropped_above_it():
+    part = box((0.1,) * 3, (0, 0, 0))
+    up = np.array([0.0, 0.0, 1.0])
+    assert below(part, up, 0.06) is part
+    assert below(part, up, -0.06) is None
+    assert below(part, up, 0.02).volume == pytest.approx(0.01 * 0.07)
+
+
+def test_a_hull_over_a_hollow_is_halved_until_it_bulges_no_more():
+    bent = trimesh.creation.box((0.08, 0.02, 0.02)).union(box((0.02, 0.02, 0.06), (0.03, 0, 0.03)))
+    hull = np.asarray(bent.convex_hull.vertices)
+    assert parts_error(bent, (convex_hull(hull),))[1] > 0.01
+    found = [part for points in refined([hull], bent, 0.0025) if (part := convex_hull(points)) is not None]
+    missing, excess = parts_error(bent, found)
+    assert len(found) > 1
+    assert excess < 0.003
+    assert missing < 0.001
+    whole = np.asarray(trimesh.creation.box((0.05,) * 3).vertices)
+    (same,) = refined([whole], trimesh.creation.box((0.05,) * 3), 0.0025)
+    assert np.allclose(np.sort(same, 0), np.sort(whole, 0))
+
+
+def test_flat_things_keep_their_parts_when_they_get_their_foot():
+    plate = box((0.1, 0.05, 0.0015), (0, 0, 0.001))  # all of it lies within the patch
+    solid = trimesh.util.concatenate([plate, box((0.02, 0.02, 0.02), (0.05, 0, 0.011))])
+    parts = ConvexParts((plate, box((0.02, 0.02, 0.02), (0.05, 0, 0.011))), 0.0, 0.0)
+    footed = with_footing(parts, solid, 0.0)
+    assert len(footed.parts) == 2
+    assert plate.bounds[1, 2] < PATCH
+    assert footed.parts[0].bounds[:, 2] == pytest.approx([0, 0.00175])
+    assert footed.error_m < 0.002
