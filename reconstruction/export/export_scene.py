@@ -33,11 +33,11 @@ class ExportConfig:
     """Mass per volume of the objects [kg/m^3]: a filled box of groceries."""
     friction: float = 0.8
     """Coefficient of friction written for the objects."""
-    rolling: float = 0.002
-    """Friction against rolling [m]: round things that were seen at rest do not roll away."""
     inflate: float | None = None
     """Collision shapes and distances take in whatever is occupied with more than this probability (0..1);
     None: the meshes as they are."""
+    rolling: float = 0.002
+    """Friction against rolling [m]: round things that were seen at rest do not roll away."""
 
 
 @dataclass(frozen=True)
