@@ -5,11 +5,13 @@ Knows hinge points and widths; knows nothing of classes or weights.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-import torch
 
+from mapping.compiled import compiled
 from mapping.kernels import reach
 
 LARGEST_TABLE = 2**22
@@ -29,7 +31,7 @@ class HingeCells:
 
     The hinge points in reach of a point lie at its nearest node or at one of M offsets from there.
     low: (d,) the first node; spacing: (d,); shape: (d,) nodes a side, with a rim as wide as the offsets;
-    ids: (cells,) int32 index of the hinge point there or -1; steps: (M,) from a cell to its candidates;
+    ids: (cells,) int32 index of the hinge point there or -1; steps: (M,) int32 from a cell to its candidates;
     quadratic: (d + 2, M), which turns a point's terms (see `locate`) into -gamma ||x - h||^2 of each;
     reached: (cells,) whether a hinge point is among a cell's candidates.
     """
@@ -37,9 +39,9 @@ class HingeCells:
     low: np.ndarray
     spacing: np.ndarray
     shape: tuple[int, ...]
-    ids: torch.Tensor
-    steps: torch.Tensor
-    quadratic: torch.Tensor
+    ids: np.ndarray
+    steps: np.ndarray
+    quadratic: np.ndarray
     reached: np.ndarray
 
     def locate(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -58,11 +60,66 @@ class HingeCells:
         np.einsum("nd,nd->n", terms[:, :d], terms[:, :d], out=terms[:, d])
         return np.where(inside & self.reached[cell], cell, -1), terms
 
-    def candidates(self, cell: torch.Tensor) -> torch.Tensor:
-        """Hinge points (n, M) int32 that may be in reach of points in cells (n,) int32; -1: none is there."""
-        places = cell[:, None] + self.steps
-        # Several times as fast as indexing with a tensor of two dimensions.
-        return self.ids.index_select(0, places.view(-1)).view(places.shape)
+
+class Tables(NamedTuple):
+    """Tables of several widths in one. ids, steps, quadratic: those of `HingeCells`, one after the other;
+    starts: (T + 1,) where the steps of each begin; smallest: least exponent that is in reach."""
+
+    ids: np.ndarray
+    steps: np.ndarray
+    quadratic: np.ndarray
+    starts: np.ndarray
+    smallest: np.float32
+
+    @classmethod
+    def of(cls, cells: Sequence[HingeCells], cutoff: float) -> Tables:
+        ids, steps, quadratic = (
+            np.concatenate([getattr(table, name) for table in cells], axis=-1)
+            for name in ("ids", "steps", "quadratic")
+        )
+        starts = np.append(0, np.cumsum([len(table.steps) for table in cells]))
+        return cls(ids, steps, quadratic, starts, np.float32(np.log(cutoff)))
+
+
+@compiled
+def pairs_in_reach(
+    cell: np.ndarray, terms: np.ndarray, tables: Tables
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Hinge points in reach of points: how many each has (n,), and of all, point by point, the index and
+    -gamma ||x - h||^2 (nnz,).
+
+    cell: (n, T) int32 a point's cell in each table, counted from the first table's first one, -1 where
+    nothing is in reach; terms: (n, T, d + 2) float32, both of `HingeCells.locate`.
+    """
+    ids, steps, quadratic, starts, smallest = tables
+    most, widest = 1, 0  # one place more than there may be pairs: see below
+    for t in range(cell.shape[1]):
+        candidates = starts[t + 1] - starts[t]
+        most += candidates * np.count_nonzero(cell[:, t] >= 0)
+        widest = max(widest, candidates)
+    lengths = np.zeros(len(cell), np.int64)
+    columns, exponents = np.empty(most, np.int32), np.empty(most, np.float32)
+    of_candidates = np.empty(widest, np.float32)
+    found = 0
+    for i in range(len(cell)):
+        before = found
+        for t in range(cell.shape[1]):
+            if cell[i, t] < 0:
+                continue
+            first, count = starts[t], starts[t + 1] - starts[t]
+            of_candidates[:count] = 0
+            for j in range(terms.shape[2]):
+                term = terms[i, t, j]
+                of_hinges = quadratic[j, first : starts[t + 1]]
+                for m in range(count):
+                    of_candidates[m] += term * of_hinges[m]
+            for m in range(count):
+                # Written in any case, and written over unless it counts: a branch costs more.
+                hinge = ids[cell[i, t] + steps[first + m]]
+                columns[found], exponents[found] = hinge, of_candidates[m]
+                found += (hinge >= 0) & (of_candidates[m] > smallest)
+        lengths[i] = found - before
+    return lengths, columns[:found].copy(), exponents[:found].copy()
 
 
 def hinge_cells(hinges: np.ndarray, gamma: np.ndarray, cutoff: float) -> list[HingeCells] | None:
@@ -119,9 +176,9 @@ def _cells_of_width(hinges: np.ndarray, rows: np.ndarray, gamma: float, cutoff: 
         low=np.array(low) - 2 * rim * spacing,
         spacing=spacing,
         shape=shape,
-        ids=torch.from_numpy(ids),
-        steps=torch.from_numpy(steps.astype(np.int32)),
-        quadratic=torch.from_numpy(quadratic.astype(np.float32)),
+        ids=ids,
+        steps=steps.astype(np.int32),
+        quadratic=quadratic.astype(np.float32),
         reached=reached,
     )
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from mapping.hinge_cells import HingeCells, hinge_cells
+from mapping.hinge_cells import HingeCells, Tables, hinge_cells, pairs_in_reach
 from mapping.kernels import blocks, cell_numbers, dense_features, groups_of_width, reach
 from mapping.sparse_rows import SparseRows
 from mapping.threads import map_in_threads
@@ -112,38 +112,23 @@ def _by_search(X: np.ndarray, hinges: np.ndarray, gamma: np.ndarray, cutoff: flo
 
 
 def _by_cells(X: np.ndarray, cells: list[HingeCells], radius: float, cutoff: float) -> list[RowsOfPart]:
-    """The same from tables of cells: three to five times as fast, since few pairs are out of reach."""
+    """The same from tables of cells: ten times as fast, since few pairs are out of reach."""
+    tables, size = Tables.of(cells, cutoff), 0
     cell_of, terms_of = zip(*(table.locate(X) for table in cells))
+    cell = np.stack(cell_of, 1)
+    for column, table in zip(cell.T, cells):
+        column[column >= 0] += size
+        size += len(table.ids)
     # Points that are reached by the same widths go together, and of them those that are near each other.
-    kind = sum((cell >= 0).astype(np.int64) << i for i, cell in enumerate(cell_of))
+    kind = (cell >= 0) @ (1 << np.arange(len(cells)))
     place = np.floor((X - X.min(0)) / (LOCAL * radius))
     order = np.lexsort((cell_numbers(place), kind))
-    cell_t, terms_t = ([torch.from_numpy(a[order]) for a in arrays] for arrays in (cell_of, terms_of))
-    smallest = float(np.log(cutoff))
+    cell, terms = cell[order], np.stack(terms_of, 1)[order]
 
-    def rows_of(part: tuple[slice, list[int]]) -> RowsOfPart:
-        rows, reaching = part
-        found = torch.from_numpy(order[rows])
-        if not reaching:
-            none = torch.empty(0)
-            return found, torch.zeros(len(found), dtype=torch.int64), none.int(), none
-        ids = torch.cat([cells[i].candidates(cell_t[i][rows]) for i in reaching], 1)
-        exponent = torch.cat([terms_t[i][rows] @ cells[i].quadratic for i in reaching], 1)
-        kept = (exponent > smallest) & (ids >= 0)
-        pairs = kept.view(-1).nonzero()[:, 0]
-        columns, values = (table.view(-1).index_select(0, pairs) for table in (ids, exponent))
-        return found, kept.sum(1), columns, values.exp_()
+    def rows_of(part: slice) -> RowsOfPart:
+        length, column, exponent = pairs_in_reach(cell[part], terms[part], tables)
+        arrays = order[part], length, column, np.exp(exponent, out=exponent)
+        return tuple(torch.from_numpy(a) for a in arrays)  # type: ignore[return-value]
 
-    return map_in_threads(rows_of, _parts(kind[order], [len(table.steps) for table in cells]))
-
-
-def _parts(kind: np.ndarray, candidates: list[int]) -> list[tuple[slice, list[int]]]:
-    """Slices of points of one kind, whose bits (N,), sorted, say which tables reach them, with those tables;
-    each has about CANDIDATES pairs."""
-    parts = []
-    starts = np.flatnonzero(np.diff(kind, prepend=-1))
-    for start, end in zip(starts, np.append(starts[1:], len(kind))):
-        reaching = [i for i in range(len(candidates)) if kind[start] >> i & 1]
-        step = max(1, CANDIDATES // max(1, sum(candidates[i] for i in reaching)))
-        parts += [(slice(a, min(a + step, end)), reaching) for a in range(start, end, step)]
-    return parts
+    step = max(1, CANDIDATES // int(tables.starts[-1]))
+    return map_in_threads(rows_of, [slice(a, a + step) for a in range(0, len(X), step)])

@@ -183,7 +183,9 @@ def test_small_parts_that_were_seen_are_delivered() -> None:
     parts[20:23, 5:7, 5:7] = 2  # seen
     parts[30:33, 5:7, 5:7] = 3  # not seen
     parts[36, 5, 5] = 4  # a stray point
+    sizes = np.bincount(parts.ravel())
+    sizes[0] = 0
     seen = np.concatenate([np.tile([21, 5, 5], (30, 1)), [[36, 5, 5]], [[500, 0, 0]], [[-3, 1, 1]]])
-    assert parts_to_keep(parts, 0.05, seen).tolist() == [1, 2]
-    assert parts_to_keep(parts, 0.05, None).tolist() == [1]
-    assert parts_to_keep(parts, 0.0, None).tolist() == [1, 2, 3, 4]
+    assert parts_to_keep(parts, sizes, 0.05, seen).tolist() == [1, 2]
+    assert parts_to_keep(parts, sizes, 0.05, None).tolist() == [1]
+    assert parts_to_keep(parts, sizes, 0.0, None).tolist() == [1, 2, 3, 4]

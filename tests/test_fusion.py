@@ -20,8 +20,9 @@ from reconstruction.surface.agreement import agreement_with_depth
 from reconstruction.surface.field import Field, window_of
 from reconstruction.surface.meshing import extract_mesh
 from reconstruction.surface.neighbours import beside, closed, nodes_of_cells, range_in_cells, upsample
+from reconstruction.surface.reading import FAR
 from reconstruction.surface.seen_cells import CORNERS
-from reconstruction.surface.seen_surface import FAR, SeenSurface
+from reconstruction.surface.seen_surface import SeenSurface
 from reconstruction.surface.smooth_depth import surface_planes
 from tools.evaluation.handles import handles_and_parts
 

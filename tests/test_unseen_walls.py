@@ -84,7 +84,7 @@ def test_pieces_are_counted_as_scipy_counts_them(seed: int) -> None:
     bits = (np.arange(3)[:, None, None] * 16 + np.arange(3)[:, None] * 4 + np.arange(3)).astype(np.uint64)
     words = (around.astype(np.uint64) << bits).sum((1, 2, 3), dtype=np.uint64)
     pieces = [ndimage.label(item, np.ones((3, 3, 3)))[1] for item in around]
-    np.testing.assert_array_equal(in_one_piece(words), np.array(pieces) == 1)
+    np.testing.assert_array_equal([in_one_piece(word) for word in words], np.array(pieces) == 1)
 
 
 def test_random_solids_lose_all_tunnels_through_hidden_space() -> None:

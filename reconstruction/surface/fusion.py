@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mapping.compiled import compiled
 from reconstruction.config import FusionConfig
 from reconstruction.surface.field import extent
 from reconstruction.surface.joint_surface import JointEdges
@@ -106,15 +107,22 @@ def _read(
 
 
 def places(nodes: np.ndarray, shape: tuple[int, ...], corner: np.ndarray, spacing: float) -> np.ndarray:
-    """Where flat nodes (M,) of a lattice are: (M, 3) float32 [m], column by column in memory."""
-    nodes = nodes.astype(np.int32)  # divided in a fraction of the time
-    places = np.empty((3, len(nodes)), np.float32)
-    for axis in reversed(range(3)):
-        line = np.arange(shape[axis], dtype=np.float32) * np.float32(spacing) + np.float32(corner[axis])
-        rest = nodes // np.int32(shape[axis])
-        places[axis] = line.take(nodes - rest * np.int32(shape[axis]))
-        nodes = rest
-    return places.T
+    """Where flat nodes (M,) of a lattice are: (M, 3) float32 [m]."""
+    _, ny, nz = shape
+    return _places(nodes, ny, nz, corner.astype(np.float32), np.float32(spacing))
+
+
+@compiled
+def _places(nodes: np.ndarray, ny: int, nz: int, corner: np.ndarray, spacing: float) -> np.ndarray:
+    points = np.empty((len(nodes), 3), np.float32)
+    for i in range(len(nodes)):
+        node = np.uint32(nodes[i])  # divided in a fraction of the time
+        plane = node // np.uint32(nz)
+        x = plane // np.uint32(ny)
+        points[i, 0] = np.float32(x) * spacing + corner[0]
+        points[i, 1] = np.float32(plane - x * np.uint32(ny)) * spacing + corner[1]
+        points[i, 2] = np.float32(node - plane * np.uint32(nz)) * spacing + corner[2]
+    return points
 
 
 def _box_of(nodes: np.ndarray) -> tuple[tuple[slice, ...], np.ndarray]:

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from perception.views.joint import JointObservation
-from reconstruction.surface.seen_surface import FAR, Edges, Reading, SeenSurface
+from reconstruction.surface.reading import FAR, Reading
+from reconstruction.surface.seen_surface import Edges, SeenSurface
 
 NOISES = 3.0
 """Views whose distances differ by no more than this many standard deviations see the same surface ..."""

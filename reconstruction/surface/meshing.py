@@ -10,7 +10,7 @@ from reconstruction.config import MeshConfig
 from reconstruction.surface.field import OUTSIDE, Field, extent
 from reconstruction.surface.fusion import fuse
 from reconstruction.surface.joint_surface import JointSurface
-from reconstruction.surface.parts import parts_to_keep
+from reconstruction.surface.parts import label, parts_to_keep
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
 from reconstruction.surface.seen_surface import SeenSurface
 from reconstruction.surface.unseen_walls import has_tunnel, with_unseen_walls
@@ -82,29 +82,27 @@ def closed_surface(
     occupied = _occupied_box(log_odds)
     if occupied is None:
         return None
-    # Nothing but outside lies beyond: the steps that follow work on the occupied part alone.
-    log_odds = _without_voids(log_odds[occupied])
-    first = np.array([o.start for o in occupied])
-    parts, count = ndimage.label(log_odds > 0)
-    kept = parts_to_keep(parts, smallest_part, None if cells is None else cells - first)
-    if len(kept) < count:
-        dropped = np.ones(count + 1, bool)
+    # Nothing but outside lies beyond: the steps that follow work on the occupied part alone, framed.
+    log_odds = np.pad(log_odds[occupied], 1, constant_values=np.float32(OUTSIDE))
+    first = np.array([part.start - 1 for part in occupied])
+    parts, sizes = label(log_odds)
+    kept = parts_to_keep(parts, sizes, smallest_part, None if cells is None else cells - first)
+    if len(kept) < len(sizes) - 1:
+        dropped = np.ones(len(sizes), bool)
         dropped[kept] = dropped[0] = False
         log_odds[dropped.take(parts)] = -0.01
         occupied = _occupied_box(log_odds)
         assert occupied is not None  # the largest part stays
-        log_odds = log_odds[occupied]
-        first += [o.start for o in occupied]
-    padded = np.full([n + 2 for n in log_odds.shape], np.float32(OUTSIDE))
-    padded[1:-1, 1:-1, 1:-1] = off_the_surface(log_odds)
-    volume = open3d.core.Tensor.from_numpy(padded)
+        log_odds = np.ascontiguousarray(log_odds[occupied])
+        first += [part.start for part in occupied]
+    volume = open3d.core.Tensor.from_numpy(off_the_surface(log_odds))
     surface = open3d.t.geometry.TriangleMesh.create_isosurfaces(volume, [0.0])  # flying edges
     faces = surface.triangle.indices.numpy()
     if not len(faces):
         return None  # no more than a touch of the surface
     # Open3D counts the lattice's axes the other way round, which turns the triangles over.
     vertices = apart(surface.vertex.positions.numpy())[:, ::-1]
-    return vertices + (first - 1), faces[:, ::-1]
+    return vertices + first, faces[:, ::-1]
 
 
 def _occupied_box(log_odds: np.ndarray) -> tuple[slice, slice, slice] | None:
@@ -114,18 +112,3 @@ def _occupied_box(log_odds: np.ndarray) -> tuple[slice, slice, slice] | None:
         return None
     x, y, z = (slice(max(part.start - 1, 0), part.stop + 1) for part in found)
     return x, y, z
-
-
-def _without_voids(log_odds: np.ndarray) -> np.ndarray:
-    """The same lattice with enclosed hollows filled: what nothing can ever see is no feature of an object."""
-    outside, count = ndimage.label(log_odds <= 0)
-    void = np.ones(count + 1, bool)
-    void[0] = False
-    for axis in range(3):  # what reaches the border is no void
-        for end in (0, -1):
-            void[np.take(outside, end, axis)] = False
-    filled = log_odds.copy()
-    if void.any():
-        hollow = void.take(outside)
-        filled[hollow] = np.maximum(-filled[hollow], 0.01)
-    return filled

@@ -10,6 +10,8 @@ from math import prod
 
 import numpy as np
 
+from mapping.compiled import compiled
+
 
 def beside(nodes: np.ndarray, corners: bool = True) -> np.ndarray:
     """Nodes (nx, ny, nz) bool and all their neighbours; without corners, those across faces alone."""
@@ -89,6 +91,32 @@ def nodes_of_cells(cells: np.ndarray, factor: int) -> np.ndarray:
         flat[step:] |= fine.reshape(-1)[:-step]
         fine = flat.reshape(fine.shape)
     return fine
+
+
+def nodes_off(solid: np.ndarray) -> np.ndarray:
+    """How many steps (nx, ny, nz) uint8, also across corners, nodes are from the nearest of solid ones, bool;
+    255 and more are 255, as all are where none is solid."""
+    off = np.pad(np.where(solid, 0, 255).astype(np.uint8), 1, constant_values=255)
+    least = np.empty(off.shape[2], np.uint8)
+    _sweep(off, least)
+    _sweep(off[::-1, ::-1, ::-1], least)  # from the other end: two sweeps find the least over all ways
+    return off[1:-1, 1:-1, 1:-1]
+
+
+@compiled
+def _sweep(off: np.ndarray, least: np.ndarray) -> None:
+    """Take into account, row after row, the neighbours that come before; the frame's nodes are no one's."""
+    nx, ny, nz = off.shape
+    for i in range(1, nx - 1):
+        for j in range(1, ny - 1):
+            row, a, b, c, d = off[i, j], off[i, j - 1], off[i - 1, j - 1], off[i - 1, j], off[i - 1, j + 1]
+            for k in range(nz):
+                least[k] = min(min(a[k], b[k]), min(c[k], d[k]))
+            before = np.uint8(255)
+            for k in range(1, nz - 1):
+                found = min(min(least[k - 1], least[k]), min(least[k + 1], before))
+                before = min(row[k], np.uint8(found + (found < 255)))
+                row[k] = before
 
 
 def _steps(lattice: np.ndarray) -> list[int]:

@@ -8,38 +8,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 from perception.camera import Camera, invert_rigid
 from perception.observation import Observation
 from reconstruction.surface.image_edges import BORDER, box_of, edge_pixels, nearest_of
+from reconstruction.surface.reading import (
+    BACKGROUND,
+    FAR,
+    NEAREST,
+    NOT_MEASURED,
+    Image,
+    Outline,
+    Reading,
+    read_points,
+)
 from reconstruction.surface.smooth_depth import surface_planes
 
-NOT_MEASURED = -2
-BACKGROUND = -1
-"""Owners of pixels that are no object's: without depth, and of the table or the room."""
-FAR = 0.1
-"""Distances beyond this do not matter to any surface [m]."""
 NOWHERE = -10_000_000
 """Column and row of the pixel that stands for none."""
-LEAST_LATERAL = 5e-5
-"""Points exactly on the edge are beside it [m]."""
-
-
-class Reading(NamedTuple):
-    """What the depth image says of N points, for one object.
-
-    distance: (N,) float32 [m] behind the measured surface or beside the silhouette, negative in free space
-    and below the floor, FAR where nothing is known. depth: (N,) float32 [m] below the object's own surface,
-    FAR where it is not seen. others: (N,) float32 [m] below the surface of another object seen there, else
-    FAR.
-    """
-
-    distance: np.ndarray
-    depth: np.ndarray
-    others: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -90,24 +78,21 @@ class SeenSurface:
         return cls(camera, T, owner, depth, planes, noise, floors, boxes)
 
     @cached_property
-    def projection(self) -> tuple[np.ndarray, np.ndarray]:
-        """A (3, 3) and b (3,) float32 with A x + b = (u z, v z, z)."""
-        P = self.camera.K @ self.T_camera_table[:3]
-        return P[:, :3].astype(np.float32), P[:, 3].astype(np.float32)
+    def image(self) -> Image:
+        """The same as points see it."""
+        P, K = (self.camera.K @ self.T_camera_table[:3]).astype(np.float32), self.camera.K
+        focal = np.float32(min(K[0, 0], K[1, 1]))
+        A, b = np.ascontiguousarray(P[:, :3]), np.ascontiguousarray(P[:, 3])
+        return Image(A, b, focal, self.owner, self.depth.astype(np.float32, copy=False), self.planes)
 
-    def pixels_of(self, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]:
-        """Flat pixels (N,) of points, coordinates (3, N) float32 [m]; whether they are in the image, else 0;
-        and u, v [px], z [m], row, column."""
-        A, b = self.projection
-        u, v, z = A @ axes + b[:, None]
-        np.maximum(z, np.float32(1e-4), out=z)
-        u /= z
-        v /= z
-        column, row = np.rint(u).astype(np.int32), np.rint(v).astype(np.int32)
-        camera = self.camera
-        inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-        pixel = np.where(inside, row * np.int32(camera.width) + column, 0)
-        return pixel, inside, (u, v, z, row, column)
+    def pixels_of(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Flat pixels (N,) of points (N, 3) float32 [m], and whether they are in the image (N,), else 0."""
+        u, v, z = self.image.A @ points.T + self.image.b[:, None]
+        np.maximum(z, NEAREST, out=z)
+        column, row = np.rint(u / z).astype(np.int32), np.rint(v / z).astype(np.int32)
+        width, height = self.camera.width, self.camera.height
+        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        return np.where(inside, row * np.int32(width) + column, 0), inside
 
     def edges(self, index: int) -> Edges:
         """The edges of one object's image."""
@@ -168,30 +153,20 @@ class Edges:
 
     def read(self, points: np.ndarray) -> Reading:
         """What the depth image says of points (N, 3) float32 [m]."""
-        seen = self.seen
-        axes = np.ascontiguousarray(points.T)  # each coordinate in one piece
-        pixel, inside, (u, v, z, row, column) = seen.pixels_of(axes)
-        owner = seen.owner.reshape(-1).take(pixel)
-        owner[~inside] = NOT_MEASURED
-        behind = below(seen.planes, pixel, axes)
-        # The table and the room need no planes: nothing is built on them.
-        behind = np.where(owner == BACKGROUND, z - seen.depth.reshape(-1).take(pixel), behind)
-        measured = owner > NOT_MEASURED
-        behind[~measured] = FAR
-        owned = owner == self.index
-        free = measured & (behind < 0)
-        lateral = self._beside(axes, u, v, z, row, column, free)
-        # Behind what is not its own, nothing is known of this object.
-        distance = np.where(free, np.maximum(behind, -lateral), np.minimum(behind, lateral))
-        distance[~(free | owned)] = FAR
-        np.minimum(distance, self.above_floor(axes[2]), out=distance)
-        depth = np.where(owned & ~free, behind, np.float32(FAR))
-        return Reading(distance, depth, np.where((owner >= 0) & ~owned, behind, np.float32(FAR)))
+        points = np.ascontiguousarray(points, np.float32)
+        return Reading(*read_points(points, self.seen.image, self.outline))
+
+    @cached_property
+    def outline(self) -> Outline:
+        """The same as points see it."""
+        floor = -np.inf if self.seen.floors is None else self.seen.floors[self.index]
+        places = self.top, self.left, self.nearest, self.pixels, self.planes
+        return Outline(self.index, np.float32(floor), *places)
 
     def facing(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of what the object shows on the ray through each point: the normal (N, 3) away from the camera, 0
         where it shows nothing there, and how far the point is behind it (N,) [m]."""
-        pixel, inside, _ = self.seen.pixels_of(points.T)
+        pixel, inside = self.seen.pixels_of(points)
         own = inside & (self.seen.owner.reshape(-1).take(pixel) == self.index)
         normals = np.where(own[:, None], self.seen.planes[pixel, :3], np.float32(0))
         return normals, below(self.seen.planes, pixel, np.ascontiguousarray(points.T))
@@ -210,51 +185,9 @@ class Edges:
             return np.full(len(height), np.float32(FAR))
         return height - np.float32(self.seen.floors[self.index])
 
-    def _beside(
-        self,
-        axes: np.ndarray,
-        u: np.ndarray,
-        v: np.ndarray,
-        z: np.ndarray,
-        row: np.ndarray,
-        column: np.ndarray,
-        free: np.ndarray,
-    ) -> np.ndarray:
-        """Distance (N,) [m] across the image to the nearest edge that matters at a point's depth, or FAR.
-
-        axes: (3, N) float32 coordinates of the points [m].
-        """
-        camera = self.seen.camera
-        _, height, width = self.nearest.shape
-        # The part's outermost pixels have no edge near: whatever lies beyond is taken for one of them.
-        place = np.clip(row - np.int32(self.top), 0, height - 1) * np.int32(width)
-        place += np.clip(column - np.int32(self.left), 0, width - 1)
-        place += np.where(free, np.int32(0), np.int32(height * width))
-        edge = self.nearest.reshape(-1).take(place)
-        edge_u, edge_v = _rows(self.pixels, edge)
-        across = np.sqrt((u - edge_u) ** 2 + (v - edge_v) ** 2) - np.float32(0.5)
-        np.maximum(across, 0, out=across)
-        across *= z
-        across /= np.float32(min(camera.K[0, 0], camera.K[1, 1]))
-        np.maximum(across, np.float32(LEAST_LATERAL), out=across)
-        # Free space beyond an edge matters to a point that lies before the surface there.
-        before = np.minimum(below(self.planes, edge, axes), 0)
-        matters = free | (before < 0)
-        before *= free
-        # A free point before the surface that ends there is so much farther from it.
-        lateral = np.sqrt(across * across + before * before)
-        return np.where(matters, np.minimum(lateral, np.float32(FAR)), np.float32(FAR))
-
 
 def below(planes: np.ndarray, which: np.ndarray, axes: np.ndarray) -> np.ndarray:
     """How far points, as coordinates (3, N) float32 [m], lie behind planes (P, 4) float32; which: (N,)."""
-    nx, ny, nz, c = _rows(planes, which)
+    nx, ny, nz, c = planes[which].T
     x, y, z = axes
     return nx * x + (ny * y + nz * z) - c
-
-
-def _rows(table: np.ndarray, which: np.ndarray) -> np.ndarray:
-    """Columns (C, N) of some rows of a table (R, C) float32, C = 2 or 4; which: (N,)."""
-    # As one complex number a row is fetched in one go.
-    whole = table.view(np.complex64 if table.shape[1] == 2 else np.complex128).reshape(-1)
-    return whole.take(which).view(np.float32).reshape(-1, table.shape[1]).T

@@ -13,20 +13,12 @@ from __future__ import annotations
 
 import numpy as np
 
-LEVELS = (-6.0, -4.0, -2.5, -1.5, -0.75, 0.0)
+from mapping.compiled import compiled
+
+LEVELS = np.array([-6.0, -4.0, -2.5, -1.5, -0.75, 0.0])
 """Log odds up to which nodes are emptied, one level after the other: what is likelier stays longer."""
-ROWS = np.array(list(np.ndindex(3, 3))) - 1
-"""The nine rows of three nodes around a node."""
-PLACES = ((ROWS[:, 0] + 1) * 16 + (ROWS[:, 1] + 1) * 4).astype(np.uint64)
-"""Where a row's three bits stand in a word that holds a node's neighbourhood; the gaps between rows keep
-shifts from running into the next one."""
-MIDDLE = np.uint64(1 << 21)
-"""The node itself in such a word."""
-MOST_KNOWN = 200_000
-"""So many neighbourhoods are kept, with whether their empty nodes are in one piece: 20 MB."""
-_KNOWN: dict[int, bool] = {}
-"""Fronts are short and look alike, in one object as in the next: most neighbourhoods were met before."""
-ONE, FOUR, SIXTEEN = np.uint64(1), np.uint64(4), np.uint64(16)
+CLASSES = 8
+"""Nodes are emptied class by class, of which no two nodes are neighbours: a front moves alike all round."""
 
 
 def membranes(solid: np.ndarray, loose: np.ndarray, log_odds: np.ndarray) -> np.ndarray:
@@ -35,83 +27,97 @@ def membranes(solid: np.ndarray, loose: np.ndarray, log_odds: np.ndarray) -> np.
     solid, loose: (nx, ny, nz) bool, apart from each other; loose: nodes that may be of the solid; none lies
     on the lattice's border. log_odds: (nx, ny, nz), how likely each of them is.
     """
-    shape = solid.shape
-    strides = np.array([shape[1] * shape[2], shape[2], 1])
-    left = loose.reshape(-1).copy()
-    odds = log_odds.reshape(-1)
+    left = loose.copy()
     empty = ~(solid | loose).reshape(-1)
     rows = empty.astype(np.uint8) << 1  # of each node: is it empty, and the nodes before and after it
     rows[1:] |= empty[:-1]
     rows[:-1] |= empty[1:].astype(np.uint8) << 2
-    steps = ROWS @ strides[:2]
-    beside = np.concatenate([strides, -strides])
-    start = np.flatnonzero(left)
-    x, y, z = np.unravel_index(start, shape)
-    # Nodes of one class are no neighbours: emptying them at once is emptying them one by one.
-    of_class = np.zeros(left.size, np.int8)
-    of_class[start] = x % 2 * 4 + y % 2 * 2 + z % 2
-    queued = np.zeros(left.size, bool)
+    odds = np.ascontiguousarray(log_odds, np.float32).reshape(-1)
+    _empty_again(left.reshape(-1), odds, rows, solid.shape[1], solid.shape[2], LEVELS)
+    return left
 
-    def around(nodes: np.ndarray) -> np.ndarray:
-        """The empty nodes around nodes (M,), as words (M,) of bits."""
-        words = rows.take(nodes[:, None] + steps).astype(np.uint64) << PLACES
-        return np.bitwise_or.reduce(words, axis=1) & ~MIDDLE
 
-    def simple(nodes: np.ndarray) -> np.ndarray:
-        """Which nodes (M,) have empty nodes around them in one piece."""
-        words = around(nodes).tolist()
-        found = [_KNOWN.get(word) for word in words]
-        if None in found:
-            unknown = list({word for word, known in zip(words, found) if known is None})
-            new = dict(zip(unknown, in_one_piece(np.array(unknown, np.uint64)).tolist()))
-            found = [new[word] if known is None else known for word, known in zip(words, found)]
-            if len(_KNOWN) < MOST_KNOWN:
-                _KNOWN.update(new)
-        return np.array(found, bool)
-
-    for level in LEVELS:
+@compiled
+def _empty_again(
+    left: np.ndarray, odds: np.ndarray, rows: np.ndarray, ny: int, nz: int, levels: np.ndarray
+) -> None:
+    """Empties nodes of `left` (N,), keeping `rows` (N,) up to date, as long as no tunnel opens."""
+    beside = (ny * nz, nz, 1, -ny * nz, -nz, -1)
+    loose = np.flatnonzero(left)
+    queued = np.zeros(len(left), np.bool_)
+    # A front and the next one, sorted by class: of each class, its nodes and how many there are.
+    front = np.empty((CLASSES, len(loose)), np.int64)
+    ahead = np.empty_like(front)
+    count, count_ahead = np.zeros(CLASSES, np.int64), np.zeros(CLASSES, np.int64)
+    for level in levels:
+        count[:] = 0
         # Anew for each level: emptying a node may have freed one that is no direct neighbour.
-        waiting = np.flatnonzero(left)
-        waiting = waiting[odds[waiting] <= level]
-        front = waiting[around(waiting) != 0]
-        while len(front):
-            found = []
-            classes = of_class[front]
-            for number in range(8):
-                nodes = front[classes == number]
-                nodes = nodes[simple(nodes)]
-                left[nodes] = False
-                rows[nodes] |= 2
-                rows[nodes - 1] |= 4
-                rows[nodes + 1] |= 1
-                found.append(nodes)
-            emptied = np.concatenate(found)
-            found = []
-            for step in beside:
-                nodes = emptied + step
-                nodes = nodes[left[nodes] & ~queued[nodes]]
-                nodes = nodes[odds[nodes] <= level]
-                queued[nodes] = True
-                found.append(nodes)
-            front = np.concatenate(found)
-            queued[front] = False
-    return left.reshape(shape)
+        for node in loose:
+            if left[node] and odds[node] <= level and _empty_around(rows, node, ny, nz):
+                number = _class_of(node, ny, nz)
+                front[number, count[number]] = node
+                count[number] += 1
+        while count.sum():
+            count_ahead[:] = 0
+            for number in range(CLASSES):
+                emptied = 0
+                for place in range(count[number]):
+                    node = front[number, place]
+                    if in_one_piece(_empty_around(rows, node, ny, nz)):
+                        left[node] = False
+                        rows[node] |= 2
+                        rows[node - 1] |= 4
+                        rows[node + 1] |= 1
+                        front[number, emptied] = node
+                        emptied += 1
+                count[number] = emptied
+            for number in range(CLASSES):
+                for place in range(count[number]):
+                    for step in beside:
+                        node = front[number, place] + step
+                        if left[node] and not queued[node] and odds[node] <= level:
+                            queued[node] = True
+                            next_number = _class_of(node, ny, nz)
+                            ahead[next_number, count_ahead[next_number]] = node
+                            count_ahead[next_number] += 1
+            for number in range(CLASSES):
+                for place in range(count_ahead[number]):
+                    queued[ahead[number, place]] = False
+            front, ahead = ahead, front
+            count, count_ahead = count_ahead, count
 
 
-def in_one_piece(words: np.ndarray) -> np.ndarray:
-    """Whether the empty nodes around a node, as words (M,) of bits, are connected: one or more, in one piece.
+@compiled
+def _class_of(node: int, ny: int, nz: int) -> int:
+    """Which of the eight classes a node is of: nodes of one class are no neighbours."""
+    return node // (ny * nz) % 2 * 4 + node // nz % ny % 2 * 2 + node % nz % 2
+
+
+@compiled
+def _empty_around(rows: np.ndarray, node: int, ny: int, nz: int) -> np.uint64:
+    """The empty nodes around a node as a word of bits, 16 * i + 4 * j + k for the node at (i, j, k) of 3^3:
+    the gaps keep shifts from running into the next row."""
+    word = np.uint64(0)
+    for i in range(3):
+        for j in range(3):
+            row = np.uint64(rows[node + ((i - 1) * ny + j - 1) * nz])
+            word |= row << np.uint64(16 * i + 4 * j)
+    return word & ~np.uint64(1 << 21)  # not the node itself
+
+
+@compiled
+def in_one_piece(word: np.uint64) -> bool:
+    """Whether the empty nodes around a node, as a word of bits, are connected: one or more, in one piece.
 
     Nodes that touch at a corner are connected: a thin wall holds tight against those, too.
     """
-    result = np.zeros(len(words), bool)
-    index, reached = np.arange(len(words)), words & (~words + ONE)  # from the lowest bit on
-    while len(index):
-        grown = reached | reached << ONE | reached >> ONE
-        grown |= grown << FOUR | grown >> FOUR
-        grown |= grown << SIXTEEN | grown >> SIXTEEN
-        grown &= words
-        whole = grown == words
-        result[index[whole]] = words[whole] != 0
-        growing = ~whole & (grown != reached)
-        index, words, reached = index[growing], words[growing], grown[growing]
-    return result
+    one, four, sixteen = np.uint64(1), np.uint64(4), np.uint64(16)
+    grown = word & (~word + one)  # from the lowest bit on
+    reached = np.uint64(0)
+    while grown != reached:
+        reached = grown
+        grown |= grown << one | grown >> one
+        grown |= grown << four | grown >> four
+        grown |= grown << sixteen | grown >> sixteen
+        grown &= word
+    return word != np.uint64(0) and grown == word

@@ -8,11 +8,13 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
+from mapping.compiled import compiled
 from reconstruction.surface.field import OUTSIDE, extent
 from reconstruction.surface.fusion import PER_METRE, places
 from reconstruction.surface.joint_surface import JointEdges
-from reconstruction.surface.neighbours import beside
-from reconstruction.surface.seen_surface import FAR, Edges, Reading
+from reconstruction.surface.neighbours import beside, nodes_off
+from reconstruction.surface.reading import FAR, Reading
+from reconstruction.surface.seen_surface import Edges
 from reconstruction.surface.tunnels import membranes
 
 GRAZED = 0.0015
@@ -63,8 +65,7 @@ def with_unseen_walls(
     if np.count_nonzero(hidden) > MOST_HIDDEN:
         return log_odds
     likely = np.clip(values, LEAST, 0)
-    nodes_off = ndimage.distance_transform_cdt(~solid, "chessboard")
-    likely -= np.float32(FARTHER) * np.clip(nodes_off - 1, 0, REACH)
+    likely -= np.float32(FARTHER) * np.clip(nodes_off(solid) - 1, 0, REACH)
     wall = membranes(solid, hidden, likely)
     if not wall.any():
         return log_odds
@@ -98,6 +99,16 @@ def _passed(points: np.ndarray, edges: Edges, reading: Reading, seen: np.ndarray
     T = edges.seen.T_camera_table
     eye = (-T[:3, :3].T @ T[:3, 3]).astype(np.float32)
     # What is seen before the object hides it; what is seen behind it ends rays that passed it.
-    nearest = np.linalg.norm(seen - eye, axis=1).min()
-    met = np.linalg.norm(points - eye, axis=1) - reading.others
+    nearest = np.sqrt(squared_distance(seen, eye).min())
+    met = np.sqrt(squared_distance(points, eye)) - reading.others
     return (reading.distance < -GRAZED) | (reading.others < FAR) & (met > nearest)
+
+
+@compiled
+def squared_distance(points: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Of points (N, 3) float32 from a place (3,) float32: (N,) [m^2]."""
+    squares = np.empty(len(points), np.float32)
+    for i in range(len(points)):
+        x, y, z = points[i, 0] - place[0], points[i, 1] - place[1], points[i, 2] - place[2]
+        squares[i] = x * x + y * y + z * z
+    return squares

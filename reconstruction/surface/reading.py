@@ -1,0 +1,121 @@
+"""What a depth image says of points, for one object: the loop over them.
+
+Knows arrays of one image and of one object's edges in it; knows nothing of observations, maps or lattices.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mapping.compiled import compiled
+
+NOT_MEASURED = -2
+BACKGROUND = -1
+"""Owners of pixels that are no object's: without depth, and of the table or the room."""
+FAR = 0.1
+"""Distances beyond this do not matter to any surface [m]."""
+NEAREST = np.float32(1e-4)
+"""Points nearer to the camera's plane than this, or behind it, are taken to be as far [m]."""
+BEYOND = np.float32(1e6)
+"""Pixel coordinates beyond this are outside of any image."""
+LEAST_LATERAL = np.float32(5e-5)
+"""Points exactly on the edge are beside it [m]."""
+_FAR, _ZERO, _HALF = np.float32(FAR), np.float32(0), np.float32(0.5)
+
+
+class Reading(NamedTuple):
+    """What the depth image says of N points, for one object.
+
+    distance: (N,) float32 [m] behind the measured surface or beside the silhouette, negative in free space
+    and below the floor, FAR where nothing is known. depth: (N,) float32 [m] below the object's own surface,
+    FAR where it is not seen. others: (N,) float32 [m] below the surface of another object seen there, else
+    FAR.
+    """
+
+    distance: np.ndarray
+    depth: np.ndarray
+    others: np.ndarray
+
+
+class Image(NamedTuple):
+    """A depth image as points see it.
+
+    A (3, 3), b (3,) float32: A x + b = (u z, v z, z); focal: [px]; owner, depth: (H, W), int32 and float32;
+    planes: (H * W, 4) float32 that each pixel sees.
+    """
+
+    A: np.ndarray
+    b: np.ndarray
+    focal: np.float32
+    owner: np.ndarray
+    depth: np.ndarray
+    planes: np.ndarray
+
+
+class Outline(NamedTuple):
+    """The edges of one object in an image, as in `Edges`. own: its number as an owner; floor: it is above
+    this height [m]."""
+
+    own: int
+    floor: np.float32
+    top: int
+    left: int
+    nearest: np.ndarray
+    pixels: np.ndarray
+    planes: np.ndarray
+
+
+@compiled
+def read_points(points: np.ndarray, image: Image, outline: Outline) -> tuple[np.ndarray, ...]:
+    """The three arrays of a `Reading` of points (N, 3) float32 [m]."""
+    A, b, focal, owners, depths, planes = image
+    own, floor, top, left, nearest, edge_pixels, edge_planes = outline
+    rows, columns = owners.shape
+    _, height, width = nearest.shape
+    count = len(points)
+    distances = np.empty(count, np.float32)
+    below_own = np.empty(count, np.float32)
+    below_others = np.empty(count, np.float32)
+    for i in range(count):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        away = max(A[2, 0] * x + A[2, 1] * y + A[2, 2] * z + b[2], NEAREST)
+        u = (A[0, 0] * x + A[0, 1] * y + A[0, 2] * z + b[0]) / away
+        v = (A[1, 0] * x + A[1, 1] * y + A[1, 2] * z + b[1]) / away
+        column = int(np.rint(min(max(u, -BEYOND), BEYOND)))
+        row = int(np.rint(min(max(v, -BEYOND), BEYOND)))
+        owner, behind = NOT_MEASURED, _FAR
+        if 0 <= column < columns and 0 <= row < rows:
+            owner = owners[row, column]
+            if owner == BACKGROUND:
+                # The table and the room need no planes: nothing is built on them.
+                behind = away - depths[row, column]
+            elif owner != NOT_MEASURED:
+                plane = planes[row * columns + column]
+                behind = plane[0] * x + plane[1] * y + plane[2] * z - plane[3]
+        free = owner != NOT_MEASURED and behind < _ZERO
+        # The part's outermost pixels have no edge near: whatever lies beyond is taken for one of them.
+        edge = nearest[
+            0 if free else 1, min(max(row - top, 0), height - 1), min(max(column - left, 0), width - 1)
+        ]
+        lateral = _FAR
+        if edge > 0:
+            plane = edge_planes[edge]
+            before = min(plane[0] * x + plane[1] * y + plane[2] * z - plane[3], _ZERO)
+            # Free space beyond an edge matters to a point that lies before the surface there.
+            if free or before < _ZERO:
+                du, dv = u - edge_pixels[edge, 0], v - edge_pixels[edge, 1]
+                across = max(max(np.sqrt(du * du + dv * dv) - _HALF, _ZERO) * away / focal, LEAST_LATERAL)
+                # A free point before the surface that ends there is so much farther from it.
+                lateral = min(np.sqrt(across * across + before * before) if free else across, _FAR)
+        # Behind what is not its own, nothing is known of this object.
+        distance = _FAR
+        if free:
+            distance = max(behind, -lateral)
+        elif owner == own:
+            distance = min(behind, lateral)
+        distances[i] = min(distance, z - floor)
+        below_own[i] = behind if owner == own and not free else _FAR
+        below_others[i] = behind if owner >= 0 and owner != own else _FAR
+    return distances, below_own, below_others
