@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from mapping.compiled import compiled
 from mapping.sparse_rows import SparseRows
 from mapping.threads import Threads
 
@@ -53,48 +54,62 @@ def sparse_factor(diagonal: torch.Tensor, hinges: np.ndarray, gamma: np.ndarray)
     rank = np.random.default_rng(0).permutation(count)  # a random order spreads the error evenly
     candidates = min(5 * NEIGHBOURS // 2, count)
     tree = cKDTree(hinges)
-    places, width = (torch.from_numpy(a).to(diagonal.device) for a in (hinges, gamma))
 
-    def rows_of(part: slice) -> tuple[torch.Tensor, torch.Tensor]:
+    def rows_of(part: slice) -> tuple[np.ndarray, np.ndarray]:
         near = tree.query(hinges[part], candidates)[1].reshape(-1, candidates)
-        earlier = rank[near] < rank[part, None]
-        # The nearest NEIGHBOURS earlier rows, the row itself last; -1 pads.
-        order = np.argsort(~earlier, axis=1, kind="stable")[:, :NEIGHBOURS]
-        chosen = np.where(np.take_along_axis(earlier, order, 1), np.take_along_axis(near, order, 1), -1)
-        pattern = np.column_stack([chosen, np.arange(part.start, part.stop)])
-        pattern_t = torch.from_numpy(pattern).to(diagonal.device)
-        return pattern_t.clamp_min(0), _factor_rows(pattern_t, places, width)
+        return _factor_rows(part.start, near, rank, hinges, gamma)
 
     with Threads(diagonal.device) as threads:
         parts = zip(*threads.map(rows_of, threads.split(count)))
-    index, values = (torch.cat(part) for part in parts)
-    values = values * diagonal.rsqrt()[index]
-    offsets = torch.arange(0, index.numel(), index.shape[1], dtype=torch.int32, device=diagonal.device)
-    lower = SparseRows(offsets, index.reshape(-1).int(), values.reshape(-1))
+    columns, values = (torch.from_numpy(np.concatenate(part)).to(diagonal.device) for part in parts)
+    values *= diagonal.rsqrt()[columns.long()]
+    width = NEIGHBOURS + 1
+    offsets = torch.arange(0, len(columns), width, dtype=torch.int32, device=diagonal.device)
+    lower = SparseRows(offsets, columns, values)
     return SparseFactor(lower, lower.transposed(count))
 
 
-def _factor_rows(pattern: torch.Tensor, places: torch.Tensor, gamma: torch.Tensor) -> torch.Tensor:
-    """Rows (n, m) of the factor for correlations: each couples the hinge points of its pattern (n, m).
+@compiled
+def _factor_rows(
+    first: int, near: np.ndarray, rank: np.ndarray, places: np.ndarray, gamma: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows first.. of the factor for correlations, n of NEIGHBOURS + 1 entries: columns and values, (n * .,).
 
-    pattern: hinge indices, the row's own last, -1 pads; places: (H, d); gamma: (H,).
+    near: (n, .) hinge points near each row's own, nearest first; rank: (H,) which ones are earlier; places:
+    (H, d); gamma: (H,). A row couples its nearest earlier neighbours and, last, itself; 0 pads.
     """
-    valid = pattern >= 0
-    places, width = places[pattern.clamp_min(0)], gamma[pattern.clamp_min(0)]  # (n, m, d), (n, m)
-    total = width[:, :, None] + width[:, None, :]
-    product = width[:, :, None] * width[:, None, :]
-    # Axis by axis: sums over a last dimension of three are several times as slow.
-    squared = torch.zeros_like(total)
-    for along in places.unbind(2):
-        squared += (along[:, :, None] - along[:, None, :]).square_()
-    local = (2 * product.sqrt() / total).sqrt() ** places.shape[2] * torch.exp(-product / total * squared)
-    local = local * (valid[:, :, None] & valid[:, None, :])
-    # Padding becomes the identity; the ridge keeps hinge points that coincide apart.
-    local.diagonal(dim1=1, dim2=2).add_((~valid).to(local.dtype) + RIDGE)
-    factor = torch.linalg.cholesky(local)
-    unit = torch.zeros(*pattern.shape, 1, device=places.device)
-    unit[:, -1, 0] = 1 / factor[:, -1, -1]
-    # Last column of the local inverse, scaled to a unit diagonal of G A G^T. Triangular solves only:
-    # batched LU is wrong in torch 2.13 with two threads.
-    column = torch.linalg.solve_triangular(factor.mT, unit, upper=True)[..., 0]
-    return column / column[:, -1:].sqrt() * valid
+    width = NEIGHBOURS + 1
+    columns = np.zeros((len(near), width), np.int32)
+    values = np.zeros((len(near), width), np.float32)
+    factor, column = np.empty((width, width)), np.empty(width)
+    for row in range(len(near)):
+        own, count = first + row, 0
+        for other in near[row]:
+            if rank[other] < rank[own] and count < NEIGHBOURS:
+                columns[row, count] = other
+                count += 1
+        columns[row, NEIGHBOURS] = own
+        for a in range(count + 1):
+            p = columns[row, a] if a < count else own
+            for b in range(a + 1):
+                q = columns[row, b] if b < count else own
+                squared = 0.0
+                for axis in range(places.shape[1]):
+                    squared += (np.float64(places[p, axis]) - places[q, axis]) ** 2
+                total, product = np.float64(gamma[p]) + gamma[q], np.float64(gamma[p]) * gamma[q]
+                overlap = (2 * np.sqrt(product) / total) ** (0.5 * places.shape[1])
+                # The ridge keeps hinge points that coincide apart.
+                sums = overlap * np.exp(-product / total * squared) + (RIDGE if a == b else 0.0)
+                for c in range(b):
+                    sums -= factor[a, c] * factor[b, c]
+                factor[a, b] = np.sqrt(sums) if a == b else sums / factor[b, b]
+        # Last column of the local inverse, scaled to a unit diagonal of G A G^T.
+        for a in range(count, -1, -1):
+            sums = 1 / factor[count, count] if a == count else 0.0
+            for b in range(a + 1, count + 1):
+                sums -= factor[b, a] * column[b]
+            column[a] = sums / factor[a, a]
+        for a in range(count):
+            values[row, a] = column[a] / np.sqrt(column[count])
+        values[row, NEIGHBOURS] = np.sqrt(column[count])
+    return columns.reshape(-1), values.reshape(-1)

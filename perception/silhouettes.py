@@ -17,7 +17,7 @@ SEEN_THROUGH_WHOLE = 0.7
 """A mask with more than this share of such pixels, and next to none of its own, is seen through."""
 DEEP = 2.5
 """Holes with pixels further than this from a surface pixel are deep [px]."""
-PLATE_BLOCKS = 250
+PLATE_BLOCKS = 120
 """A surface with its holes is cut into about this many blocks to be interpolated."""
 
 

@@ -60,7 +60,8 @@ def extract_mesh(
     if edges is not None and seen is not None and config.fusion.unseen_walls and has_tunnel(*found):
         first = corner + field.spacing * start
         walled = with_unseen_walls(log_odds, first, spacing, edges, seen)
-        found = closed_surface(walled, config.smallest_part, cells) or found
+        if walled is not None:
+            found = closed_surface(walled, config.smallest_part, cells) or found
     vertices, faces = found
     nodes = vertices * (spacing / field.spacing) + start  # of the map's lattice
     limit = np.array(uncertainty.shape) - 1

@@ -21,14 +21,23 @@ def label(log_odds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     the lattice must be outside. Returns each node's part (nx, ny, nz) int32, 0 outside, numbered in the order
     of their first nodes, and their sizes (count + 1,), that of the outside as 0.
     """
-    pieces, sizes, signs = _pieces(log_odds)
-    hollow = ~signs
-    hollow[0] = False  # the outside proper, which holds the first node
-    if hollow.any():
-        inside = hollow.take(pieces)
-        log_odds[inside] = np.maximum(-log_odds[inside], 0.01)
-        pieces, sizes, signs = _pieces(log_odds)
+    pieces, sizes, inside = _pieces(log_odds)
+    if np.count_nonzero(~inside) > 1:  # beside the outside proper, which holds the first node
+        _fill(log_odds, pieces, inside)
+        if np.count_nonzero(inside) > 1:
+            pieces, sizes, inside = _pieces(log_odds)
+        else:
+            pieces, sizes = np.minimum(pieces, 1), np.append(sizes[0], sizes[1:].sum())
     return pieces, np.append(0, sizes[1:])
+
+
+@compiled
+def _fill(log_odds: np.ndarray, pieces: np.ndarray, inside: np.ndarray) -> None:
+    """Turn the pieces that are neither inside nor the first one to the inside."""
+    values, numbers = log_odds.reshape(-1), pieces.reshape(-1)
+    for node in range(len(values)):
+        if numbers[node] > 0 and not inside[numbers[node]]:
+            values[node] = max(-values[node], np.float32(0.01))
 
 
 @compiled

@@ -32,8 +32,10 @@ HELD = 0.3
 SMOOTH = 1.0
 """Standard deviation of the smoothing of new walls [nodes]."""
 MOST_HIDDEN = 60_000
-"""Objects with more hidden nodes keep their tunnels: the time grows with these nodes, some microseconds each,
-and what has so many at 2.5 mm (a skillet, a pot) would take as long as the other objects of a scene."""
+"""Objects with more hidden nodes keep their tunnels: the time grows with these nodes, and what has so many at
+2.5 mm (a skillet, a pot) would take as long as the other objects of a scene."""
+FEW = 16
+"""One node in so many tells whether there are more than that."""
 
 
 def has_tunnel(vertices: np.ndarray, faces: np.ndarray) -> bool:
@@ -43,15 +45,15 @@ def has_tunnel(vertices: np.ndarray, faces: np.ndarray) -> bool:
 
 def with_unseen_walls(
     log_odds: np.ndarray, corner: np.ndarray, spacing: float, edges: Edges | JointEdges, seen: np.ndarray
-) -> np.ndarray:
-    """The log odds (nx, ny, nz) of one object with walls across tunnels that no ray passed.
+) -> np.ndarray | None:
+    """The log odds (nx, ny, nz) of one object with walls across tunnels that no ray passed; None without any.
 
     Lattice at corner + spacing * (i, j, k) [m, table frame]; edges: of the object's image; seen: (N, 3)
     measured points of it [m].
     """
     box = extent(log_odds > 0)
     if box is None:
-        return log_odds
+        return None
     # A border of empty nodes, and nothing else beyond the solid: walls lie between its parts.
     first = np.array([part.start for part in box]) - 1
     values = np.pad(log_odds[box], 1, constant_values=OUTSIDE)
@@ -60,15 +62,17 @@ def with_unseen_walls(
     hidden[1:-1, 1:-1, 1:-1] = ~solid[1:-1, 1:-1, 1:-1]
     nodes = np.flatnonzero(hidden)
     points = places(nodes, values.shape, corner + spacing * first, spacing)
+    if len(nodes) > MOST_HIDDEN:
+        few = np.count_nonzero(~np.isnan(_unpassed(points[::FEW], edges, seen)))
+        if few > MOST_HIDDEN // FEW:
+            return None
     reach = _unpassed(points, edges, seen)
     hidden.reshape(-1)[nodes] = ~np.isnan(reach)
-    if np.count_nonzero(hidden) > MOST_HIDDEN:
-        return log_odds
     likely = np.clip(values, LEAST, 0)
     likely -= np.float32(FARTHER) * np.clip(nodes_off(solid) - 1, 0, REACH)
     wall = membranes(solid, hidden, likely)
     if not wall.any():
-        return log_odds
+        return None
     level = np.clip(values, BESIDE, WITHIN)
     level[~(solid | beside(beside(wall)))] = BESIDE
     level[wall] = WITHIN
