@@ -101,7 +101,7 @@ def deliver(scene: FittedScene) -> Reconstruction:
         if surface is None:
             skipped.append(Skipped(item.label, item.name, "the map gives it no volume at this resolution"))
             continue
-        fields.append(_object_field(scene.field, index, item, surface.mesh.bounds))
+        fields.append(_object_field(scene.field, index, item, np.asarray(surface.mesh.vertices)))
         objects.append(_place(surface, item, index + 1, T_world_table))
     if not objects:
         raise DataError(f"{frame.source}: no object has volume at a spacing of {scene.config.mesh.spacing} m")
@@ -136,9 +136,9 @@ def _other(scene: FittedScene, T_world_table: np.ndarray) -> OtherObstacles | No
     return OtherObstacles(mesh, surface.uncertainty, own)
 
 
-def _object_field(field: Field, index: int, item: ObservedObject, bounds: np.ndarray) -> ObjectField:
+def _object_field(field: Field, index: int, item: ObservedObject, vertices: np.ndarray) -> ObjectField:
     """The lattice around one object, two nodes wider than its mesh."""
-    low, high = bounds
+    low, high = vertices.min(0), vertices.max(0)
     around = window_of(field.origin, field.spacing, field.uncertainty.shape, low, high, pad=2)
     window = overlap(around, field.windows[index])
     odds = field.log_odds[index][within(window, field.windows[index])]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from mapping.compiled import compiled
-from reconstruction.surface.seen_cells import CORNERS
 
 SEEN_POINTS = 15
 """A part with this many seen points in its cells, and this share of them all, is no stray measurement: it
@@ -127,11 +126,22 @@ def parts_to_keep(
     keep = sizes >= smallest * sizes.max()
     keep[0] = False
     if cells is not None and not keep[1:].all():
-        inside = ((cells >= 0) & (cells < np.array(parts.shape) - 1)).all(1)
-        # Thousands of points lie in hundreds of cells.
-        flat = np.ravel_multi_index(tuple(cells[inside].T), parts.shape)
-        cell, points = np.unique(flat, return_counts=True)
-        owner = parts.reshape(-1)[cell[:, None] + np.ravel_multi_index(tuple(CORNERS.T), parts.shape)].max(1)
         least = max(SEEN_POINTS, SEEN_SHARE * len(cells))
-        keep |= (np.bincount(owner, points, minlength=len(sizes)) >= least) & (sizes > 0)
+        keep |= (_points_in(parts, cells, len(sizes)) >= least) & (sizes > 0)
     return np.flatnonzero(keep)
+
+
+@compiled
+def _points_in(parts: np.ndarray, cells: np.ndarray, count: int) -> np.ndarray:
+    """How many points lie in cells (N, 3) with a node of each of `count` parts, the last one of a cell's."""
+    points = np.zeros(count, np.int64)
+    nx, ny, nz = parts.shape
+    for i, j, k in cells:
+        if 0 <= i < nx - 1 and 0 <= j < ny - 1 and 0 <= k < nz - 1:
+            part = 0
+            for a in range(2):
+                for b in range(2):
+                    for c in range(2):
+                        part = max(part, parts[i + a, j + b, k + c])
+            points[part] += 1
+    return points

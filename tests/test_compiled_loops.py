@@ -1,0 +1,73 @@
+"""Compiled loops against the libraries they stand in for, and the folder they are kept in."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from mapping.compiled import compiled
+from reconstruction.surface.fusion import places
+from reconstruction.surface.neighbours import nodes_off
+from reconstruction.surface.parts import label
+
+SHAPES = [(3, 4, 5), (1, 7, 2), (12, 9, 17)]
+
+
+def lattice(shape: tuple[int, ...], smooth: float, seed: int) -> np.ndarray:
+    noise = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=shape), smooth)
+    return np.pad(noise, 1, constant_values=-8).astype(np.float32)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("smooth", [0.0, 0.7, 1.5])
+def test_parts_and_voids_are_those_that_scipy_finds(shape: tuple[int, ...], smooth: float) -> None:
+    values = lattice(shape, smooth, 3)
+    outside, _ = ndimage.label(values <= 0)
+    void = (outside > 0) & (outside != outside[0, 0, 0])
+    filled = values.copy()
+    filled[void] = np.maximum(-filled[void], 0.01)
+    expected, count = ndimage.label(filled > 0)
+    parts, sizes = label(values)
+    np.testing.assert_array_equal(values, filled)
+    np.testing.assert_array_equal(parts, expected)
+    assert sizes.tolist() == [0, *(int((expected == k).sum()) for k in range(1, count + 1))]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("share", [0.02, 0.4])
+def test_steps_from_a_solid_are_scipys_chessboard_distance(shape: tuple[int, ...], share: float) -> None:
+    solid = np.random.default_rng(1).random(shape) < share
+    solid[0, 0, 0] = True
+    np.testing.assert_array_equal(nodes_off(solid), ndimage.distance_transform_cdt(~solid, "chessboard"))
+    assert (nodes_off(np.zeros(shape, bool)) == 255).all()
+
+
+def test_places_of_nodes_are_their_indices_times_the_spacing() -> None:
+    shape, corner = (4, 5, 6), np.array([0.1, -0.2, 0.3])
+    nodes = np.array([0, 7, 119])
+    expected = corner + 0.01 * np.stack(np.unravel_index(nodes, shape), 1)
+    np.testing.assert_allclose(places(nodes, shape, corner, 0.01), expected, atol=1e-6)
+
+
+def test_without_a_folder_to_write_loops_are_compiled_for_the_process(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    import numba
+
+    made = []
+    njit = numba.njit
+
+    def without_cache(function, **settings):
+        made.append(settings.get("cache", False))
+        if settings.get("cache"):
+            raise RuntimeError("cannot cache function: no locator available")
+        return njit(function, **settings)
+
+    monkeypatch.setattr(numba, "njit", without_cache)
+
+    def twice(x: int) -> int:
+        return 2 * x
+
+    assert compiled(twice)(3) == 6
+    assert made == [True, False]
