@@ -150,21 +150,34 @@ def _level_under(
     """The level that an object with points own (N, 2) along the plane stands on, or None.
 
     It rests on the highest one that it begins at; where its foot is hidden, the one most of which is seen
-    beside it.
+    beside it, and on several sides of it if it is a raised one: the top of a box that hides the foot is no
+    support.
     """
     beside = ((flat > own.min(0) - BESIDE) & (flat < own.max(0) + BESIDE)).all(1)
-    height = height[beside]
+    flat, height = flat[beside], height[beside]
     resting: list[tuple[float, int]] = []
     hidden: list[tuple[float, int]] = []
     for level in levels:
         sunk = own_height < level - HALF_THICKNESS
-        cells = int((np.abs(height - level) < 2 * HALF_THICKNESS).sum())
+        at_level = np.abs(height - level) < 2 * HALF_THICKNESS
+        cells = int(at_level.sum())
         if cells < LEAST_CELLS or sunk.mean() > SUNK_SHARE:
             continue
         gap = float(quantiles(own_height[~sunk], 0.03)[0]) - level
-        (resting if gap < REST_GAP else hidden).append((level, cells))
+        if gap < REST_GAP:
+            resting.append((level, cells))
+        elif level <= 0 or _around(np.median(own, axis=0), flat[at_level]):
+            hidden.append((level, cells))
     if resting:
         return max(resting)[0]
     # The first support carries most things: another one must be seen much more of to be preferred.
     weighted = [(cells if level else FIRST_SUPPORT * cells, level) for level, cells in hidden]
     return max(weighted)[1] if weighted else None
+
+
+def _around(place: np.ndarray, cells: np.ndarray) -> bool:
+    """Whether a place (2,) lies within the hull of cells (M, 2)."""
+    import cv2
+
+    hull = cv2.convexHull(cells.astype(np.float32))
+    return bool(cv2.pointPolygonTest(hull, (float(place[0]), float(place[1])), False) > 0)

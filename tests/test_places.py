@@ -93,6 +93,13 @@ def test_things_on_a_labelled_tray_end_at_its_top() -> None:
     assert result.floor < 0
 
 
+def test_what_stands_behind_a_box_does_not_hover() -> None:
+    low = Shape("box", (0.06, 0.20, 0.10), (-0.02, 0.0, 0.05))
+    behind = Shape("cylinder", (0.035, 0.16), (0.08, 0.0, 0.08))
+    scene = make_tabletop((low, behind), noise=0.001, size=(240, 180))
+    check(reconstruct(scene.frame), scene, {1, 2}, 0.7)
+
+
 def test_what_stands_close_behind_a_box_does_not_lie_on_it() -> None:
     low = Shape("box", (0.12, 0.20, 0.06), (-0.10, 0.0, 0.03))
     behind = Shape("box", (0.06, 0.09, 0.16), (0.0, 0.0, 0.08))

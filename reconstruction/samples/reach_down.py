@@ -1,4 +1,4 @@
-"""Objects whose foot nobody saw: seen from straight above, or cut by the image's border, they do not hover.
+"""Objects whose foot nobody saw (from straight above, cut by the image's border, behind others) do not hover.
 
 Knows what is seen of one object, its support and what the prior guesses; knows nothing of labels or the fit.
 """
@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.special import expit
 
-from perception.observation import Observation, ObservedObject
+from perception.observation import NOTHING, SUPPORT, Observation, ObservedObject
 from perception.quantiles import quantiles
 from perception.space import Space
 from reconstruction.prior.evidence import hidden_labels
@@ -33,6 +34,14 @@ STEEP = 0.9
 """Cosine between the line of sight and the support's normal from which on a top hides the foot under it."""
 BORDER = 2
 """An object whose pixels come this near to the image's border goes on beyond it [px]."""
+END = 0.01
+"""The end of what is seen of an object is its lowest centimetre [m]."""
+PROBES, PROBED = 6, 60
+"""So many places are asked for under each of so many of its points."""
+HIDDEN = 0.8
+"""Its foot is behind others when these hide more than this share of them."""
+WELL_BEFORE = 0.03
+"""... and the places right under its end lie this far behind them: what it touches there may carry it [m]."""
 JUST_UNDER = 0.006
 """Where an object is above is asked this far under the end of its visible part [m]."""
 EDGE = 0.002
@@ -43,8 +52,27 @@ NARROW = 0.4
 
 def may_lack_foot(item: ObservedObject, observation: Observation, space: Space) -> bool:
     """Whether what is seen of an object ends above its support because nobody could see more of it."""
-    hangs = visible_end(item, space) - item.floor > FOOT_GAP
-    return bool(hangs and (seen_from_above(item, space) or observation.at_border(item, BORDER)))
+    if visible_end(item, space) - item.floor <= FOOT_GAP:
+        return False
+    if seen_from_above(item, space) or observation.at_border(item, BORDER):
+        return True
+    return _foot_is_behind_others(item, observation, space)
+
+
+def _foot_is_behind_others(item: ObservedObject, observation: Observation, space: Space) -> bool:
+    """Whether nearly all places straight under the end of what is seen of an object are hidden by others that
+    stand well before it."""
+    assert observation.seen is not None
+    end = item.points[item.points[:, 2] < item.bounds[0][2] + END]
+    steps = np.linspace(0, 1, PROBES, endpoint=False, dtype=np.float32) + np.float32(0.5 / PROBES)
+    under = np.repeat(end[:: 1 + len(end) // PROBED], PROBES, axis=0)
+    under[:, 2] = np.resize(item.floor + steps * np.float32(item.bounds[0][2] - item.floor), len(under))
+    sight = space.look(under)
+    seen = np.where(sight.pixel >= 0, observation.seen.reshape(-1)[sight.pixel], SUPPORT)
+    hidden = (sight.behind > 0) & (seen != SUPPORT) & (seen != NOTHING) & (seen != item.label)
+    deeper = end - np.array([0, 0, 1.2 * END], np.float32)
+    before = float(np.median(np.nan_to_num(space.look(deeper).behind)))
+    return bool(hidden.mean() > HIDDEN and before > WELL_BEFORE)
 
 
 def visible_end(item: ObservedObject, space: Space) -> float:
@@ -108,7 +136,7 @@ def _under_plan(item: ObservedObject, space: Space, points: np.ndarray) -> np.nd
     plan = Footprint.of(box, visible)
     local = box.local(points - lift)
     inside, _ = plan.at(box, local)
-    there = 1 / (1 + np.exp(-inside / EDGE))
+    there = expit(inside / EDGE)
     cell = np.clip((local[:, :2] + 1) * (CELLS / 2), 0, CELLS - 1).astype(np.int32)
     wide = _without_narrow_parts(plan.distance[0], float(box.size[0]) / CELLS)[cell[:, 0], cell[:, 1]]
     return np.where(wide, there, STANDING * there).astype(np.float32)
