@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -119,6 +120,12 @@ class Observation:
     other: OtherSurface = field(default_factory=OtherSurface)
     seen: np.ndarray | None = None
     guess: np.ndarray | None = None
+
+    @cached_property
+    def memo(self) -> dict[Any, Any]:
+        """What later steps worked out from this observation alone, by their names: a map of one view more
+        has not to do it again."""
+        return {}
 
     @property
     def first(self) -> Observation:

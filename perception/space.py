@@ -59,7 +59,14 @@ class Space:
 
     @classmethod
     def of(cls, observation: Observation, config: PerceptionConfig | None = None) -> Space:
-        """The space that an observation shows."""
+        """The space that an observation shows; the same one when asked again."""
+        config = config or PerceptionConfig()
+        if ("space", config) not in observation.memo:
+            observation.memo["space", config] = cls._of(observation, config)
+        return observation.memo["space", config]  # type: ignore[no-any-return]
+
+    @classmethod
+    def _of(cls, observation: Observation, config: PerceptionConfig) -> Space:
         depth, guessed = observation.depth, None
         if observation.guess is not None:
             guessed = np.isfinite(observation.guess)
@@ -69,7 +76,7 @@ class Space:
             depth,
             invert_rigid(observation.T_table_camera),
             observation.support is not None,
-            config or PerceptionConfig(),
+            config,
             guessed=guessed,
         )
 

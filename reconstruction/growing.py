@@ -37,11 +37,13 @@ class Taken:
 
 @dataclass
 class GrowingMap:
-    """The map of all frames so far. track: equal label numbers are the same object in all frames."""
+    """The map of all frames so far. track: equal label numbers are the same object in all frames; keep: so
+    many views at most, see Reconstruction.update."""
 
     config: PipelineConfig
     seed: int = 0
     track: bool = False
+    keep: int | None = None
     result: Reconstruction | None = None
     taken: list[Taken] = field(default_factory=list)
 
@@ -58,7 +60,7 @@ class GrowingMap:
             if before is None:
                 self.result = reconstruct(frame, self.config, self.seed)
             else:
-                self.result = before.update(frame, self.track)
+                self.result = before.update(frame, self.track, self.keep)
                 if self.result.map is before.map:
                     said = [note for note in self.result.notes if note not in before.notes]
                     reason = "; ".join(said) or "it says nothing new"

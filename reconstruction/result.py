@@ -134,7 +134,7 @@ class Reconstruction:
     seed: int = 0
     floor: float | None = None
     other: OtherObstacles | None = None
-    updater: Callable[[Reconstruction, Frame, bool], Reconstruction] | None = None
+    updater: Callable[[Reconstruction, Frame, bool, int | None], Reconstruction] | None = None
 
     @cached_property
     def space(self) -> Space:
@@ -209,17 +209,18 @@ class Reconstruction:
 
         return save_reconstruction(self, Path(folder), overwrite)
 
-    def update(self, frame: Frame, track: bool = False) -> Reconstruction:
+    def update(self, frame: Frame, track: bool = False, keep: int | None = None) -> Reconstruction:
         """The map of the scene with one view more, its T_world_camera in the same world.
 
         As reconstruct with all views, but earlier views are not cleaned again and the fit starts from this
         map's weights; this Reconstruction stays as it is. track: label numbers are the same objects' as here;
-        else they are where names agree too, and the rest is matched by place. Raises FrameError when the
-        frame shows no usable object.
+        else they are where names agree too, and the rest is matched by place. keep: at most so many views
+        are kept, so that time and memory of many updates stay as they are; of more, the one taken nearest to
+        another is forgotten. Raises FrameError when the frame shows no usable object.
         """
         if self.updater is None:
             raise ConfigError("this Reconstruction was put together by hand: reconstruct all frames instead")
-        return self.updater(self, frame, track)
+        return self.updater(self, frame, track, keep)
 
     def __getitem__(self, key: str | int) -> ReconstructedObject:
         """The object of this name or label; DataError that names the valid ones."""

@@ -10,12 +10,14 @@ from time import perf_counter
 import numpy as np
 import trimesh
 
-from mapping.errors import DataError, FrameError
+from mapping.errors import ConfigError, DataError, FrameError
 from perception.camera import transform
 from perception.frame import Frame
-from perception.observation import ObservedObject, Skipped
+from perception.observation import Observation, ObservedObject, Skipped
+from perception.views.choosing import without_the_least_new
 from perception.views.joint import JointObservation, View
 from perception.views.observing_together import observe_together
+from perception.views.placing import relabelled
 from reconstruction.config import PipelineConfig, pipeline_of
 from reconstruction.fitted_scene import FittedScene, Surface, generator
 from reconstruction.pictures.palette import paint
@@ -59,13 +61,19 @@ def reconstruct(
     return _clocked(FittedScene.of(frames[0], config or PipelineConfig(), seed, frames[1:], track))
 
 
-def update(result: Reconstruction, frame: Frame, track: bool = False) -> Reconstruction:
+def update(
+    result: Reconstruction, frame: Frame, track: bool = False, keep: int | None = None
+) -> Reconstruction:
     """The map of a scene with one view more; see Reconstruction.update."""
     import open3d  # noqa: F401
 
     config = pipeline_of(result.config)
     seen = result.observation
-    known = seen.views if isinstance(seen, JointObservation) else (View(result.frame, seen, 1),)
+    known = seen.views if isinstance(seen, JointObservation) else (_first_view(result.frame, seen),)
+    if keep is not None:
+        if keep < 2:
+            raise ConfigError(f"keep must be at least 2 views, got {keep}")
+        known = without_the_least_new(known, keep - 1, frame.camera)
     joint = observe_together([frame], config.perception, result.seed, track, known)
     if [view.number for view in joint.views] == [view.number for view in known]:
         # The frame says nothing that may be believed: the map stays, and why is noted.
@@ -76,6 +84,12 @@ def update(result: Reconstruction, frame: Frame, track: bool = False) -> Reconst
     scene = FittedScene(result.frame, config, generator(result.seed), result.seed, given=joint, before=before)
     updated = _clocked(scene)
     return replace(updated, notes=tuple(dict.fromkeys([*result.notes, *updated.notes])))
+
+
+def _first_view(frame: Frame, observation: Observation) -> View:
+    """A single frame as the first of several views."""
+    names = {item.label: item.name for item in observation.objects}
+    return View(*relabelled(frame, observation, {label: label for label in names}, names), 1)
 
 
 def _clocked(scene: FittedScene) -> Reconstruction:

@@ -15,6 +15,7 @@ from perception.camera import Camera
 from perception.frame import Frame
 from perception.frame_io import save_frame
 from perception.space import Region
+from perception.views.choosing import without_the_least_new
 from perception.views.joint_space import JointSpace
 from perception.views.observing_together import observe_together
 from reconstruction import load_result, reconstruct
@@ -258,3 +259,30 @@ def test_an_update_knows_which_object_is_which() -> None:
     assert sorted(item.label for item in joint.objects) == [1, 2, 3, 4]
     assert joint.views[1].frame.labels is not None
     assert (joint.views[1].frame.labels == views(2)[1].labels).mean() > 0.99
+
+
+def test_many_views_are_kept_to_the_most_different() -> None:
+    joint = observe_together([views(2)[0], views(2)[1], shifted(views(2)[1], 0.004, 0.0, 0.0)], ordered=True)
+    assert len(joint.views) == 3
+    kept = without_the_least_new(joint.views, 2, views(5)[2].camera)
+    assert [view.number for view in kept] == [1, 3]
+    assert without_the_least_new(joint.views, 3, views(5)[2].camera) == joint.views
+
+
+@pytest.mark.slow
+def test_fifty_updates_keep_to_their_memory() -> None:
+    """Views that are forgotten take nothing with them into later maps."""
+    result = mapped(0)
+    sizes = []
+    for number in range(50):
+        result = result.update(shifted(views(5)[number % 5], 0.0002 * (number % 7), 0.0, 0.0), keep=4)
+        sizes.append(size_of(result))
+        assert len(result.observation.views) <= 4
+    assert max(sizes[25:]) < 1.1 * max(sizes[5:25])
+
+
+def size_of(result: Reconstruction) -> int:
+    """Bytes of a reconstruction, with all that it keeps."""
+    import pickle
+
+    return len(pickle.dumps(replace(result, updater=None)))

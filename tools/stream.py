@@ -30,6 +30,7 @@ def stream(
     rrd: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     track: bool = False,
+    keep: int = 8,
     depth_scale: Annotated[float | None, tyro.conf.arg(metavar="M")] = None,
     trust: tuple[Literal["unit", "kind", "K", "pose"], ...] = (),
     preset: PresetName = "tabletop",
@@ -58,6 +59,8 @@ def stream(
         json: Also write frames per second and what became of each frame to this file.
         track: Equal label numbers are the same object in all frames. Without it names must be equal too, and
             what has none is matched by where it is.
+        keep: Views that the map is made of, at most: time and memory a frame stay as they are. Of more, the
+            one taken nearest to another is forgotten.
         depth_scale: Metres per stored depth unit, where frames do not say it.
         trust: What you know to be right although it looks odd: unit, kind (z, not ray), K, pose.
         preset: tabletop (default) or paper.
@@ -75,8 +78,10 @@ def stream(
 
     chosen = pipeline_config(settings, config, set)
     shots = shots_of_bag(frames, bag, trust) if is_bag(frames) else shots_in(frames, depth_scale, trust)
-    grown = GrowingMap(chosen, seed, track)
-    source = {"source": str(Path(frames).resolve()), "track": track}
+    if keep < 2:
+        raise ConfigError(f"--keep must be at least 2 views, got {keep}")
+    grown = GrowingMap(chosen, seed, track, keep)
+    source = {"source": str(Path(frames).resolve()), "track": track, "keep": keep}
     target = Target(out, rrd, source, overwrite)
     target.check(grown)
     done = {one.name for one in grown.taken}

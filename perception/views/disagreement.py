@@ -37,19 +37,23 @@ class Left:
     share: float
 
 
-def passed(space: Space, points: np.ndarray, config: PerceptionConfig) -> np.ndarray:
-    """Which points (N, 3) rays of a view have clearly passed: (N,) bool."""
+def passed(space: Space, nearest: np.ndarray, points: np.ndarray, config: PerceptionConfig) -> np.ndarray:
+    """Which points (N, 3) rays of a view have clearly passed: (N,) bool. nearest: of `nearest_around`."""
+    sight = space.look(points)
+    measured = nearest[np.maximum(sight.pixel, 0)]
+    margin = config.surface_margin + NOISES * config.depth_noise * measured**2
+    return np.asarray((sight.pixel >= 0) & (measured > 0) & (sight.depth < measured - margin))
+
+
+def nearest_around(space: Space) -> np.ndarray:
+    """The least depth (H W,) [m] around each pixel of a view, 0 where something there is not known."""
     import cv2
 
     depth = np.where(np.isfinite(space.depth), space.depth, np.float32(0))  # unknown: nothing passed there
     if space.guessed is not None:
         depth = np.where(space.guessed, np.float32(0), depth)
     size = 2 * _around(space) + 1
-    nearest = cv2.erode(depth, np.ones((size, size), np.uint8)).reshape(-1)
-    sight = space.look(points)
-    measured = nearest[np.maximum(sight.pixel, 0)]
-    margin = config.surface_margin + NOISES * config.depth_noise * measured**2
-    return np.asarray((sight.pixel >= 0) & (measured > 0) & (sight.depth < measured - margin))
+    return cv2.erode(depth, np.ones((size, size), np.uint8)).reshape(-1)
 
 
 def _around(space: Space) -> int:
@@ -58,21 +62,34 @@ def _around(space: Space) -> int:
 
 
 def contradictions(
-    views: Sequence[View], spaces: Sequence[Space], config: PerceptionConfig
+    views: Sequence[View], spaces: Sequence[Space], config: PerceptionConfig, settled: int = 0
 ) -> dict[int, np.ndarray]:
     """For each label (V, V): the share of an object's points in one view that rays of the other passed, or
-    the other way round, whichever is more; NaN where neither view sees the object."""
+    the other way round, whichever is more; NaN where neither view sees the object. settled: so many of the
+    views were found to agree before; 0 among them."""
     count = len(views)
+    nearest = [_memo(view, space) for view, space in zip(views, spaces)]
     found: dict[int, np.ndarray] = {}
     for a, view in enumerate(views):
-        for item in view.observation.objects:
-            shares = found.setdefault(item.label, np.full((count, count), np.nan))
-            points = item.points[:: 1 + len(item.points) // FEW]
-            for b in range(count):
-                if a != b:
-                    share = float(passed(spaces[b], points, config).mean())
-                    shares[a, b] = shares[b, a] = np.fmax(shares[a, b], share)
+        items = view.observation.objects
+        few = [item.points[:: 1 + len(item.points) // FEW] for item in items]
+        points, ends = np.concatenate(few), np.cumsum([len(part) for part in few])[:-1]
+        for b in range(count):
+            if a == b:
+                continue
+            known = a < settled and b < settled
+            gone = np.zeros(len(points)) if known else passed(spaces[b], nearest[b], points, config)
+            for item, part in zip(items, np.split(gone, ends)):
+                shares = found.setdefault(item.label, np.full((count, count), np.nan))
+                shares[a, b] = shares[b, a] = np.fmax(shares[a, b], float(part.mean()))
     return found
+
+
+def _memo(view: View, space: Space) -> np.ndarray:
+    memo = view.observation.memo
+    if "nearest_around" not in memo:
+        memo["nearest_around"] = nearest_around(space)
+    return np.asarray(memo["nearest_around"])
 
 
 def to_leave_out(shares: dict[int, np.ndarray], seen: Sequence[Sequence[int]]) -> list[Left]:

@@ -166,7 +166,9 @@ def _merged(label: int, seen: Sequence[Observation], stack: Stack) -> ObservedOb
 
 
 def _on_floors(observation: Observation, floors: dict[int, float]) -> Observation:
-    """The same with every object on the floor that all views agree on."""
+    """The same with every object on the floor that all views agree on; itself where they are already."""
+    if all(item.floor == floors[item.label] for item in observation.objects):
+        return observation
     return replace(
         observation,
         objects=tuple(replace(item, floor=floors[item.label]) for item in observation.objects),

@@ -58,7 +58,7 @@ def observe_together(
         ranks = [_rank(*entry[1:], ordered or settled > 0) for entry in kept]
         lead = min(range(len(kept)), key=lambda index: ranks[index])
         views, found = _placed(kept, kept[0 if settled else lead], config, track, settled)
-        agreeing, left = _agreeing(views, config)
+        agreeing, left = _agreeing(views, config, settled)
         there = {view.number for view in agreeing}
         if settled or kept[lead][0] in there:
             break
@@ -92,13 +92,16 @@ def _placed(
     T_world_table = lead[1].camera.T_world_camera @ np.linalg.inv(lead[2].T_table_camera)
     to_table = np.linalg.inv(T_world_table)
     placed = [
-        moved(observation, to_table @ frame.camera.T_world_camera, lead[2].levels)
-        for _, frame, observation in kept
+        # Views that are settled are in the table frame already, and stay the same objects.
+        observation
+        if number < settled
+        else moved(observation, to_table @ frame.camera.T_world_camera, lead[2].levels)
+        for number, (_, frame, observation) in enumerate(kept)
     ]
     spaces = [Space.of(one, config) for one in placed]
     numbers, frames = [entry[0] for entry in kept], [entry[1] for entry in kept]
     labels, found = match(frames, placed, spaces, track, numbers, settled)
-    return _views(kept, placed, labels), found
+    return _views(kept, placed, labels, settled), found
 
 
 def observe_again(
@@ -127,8 +130,10 @@ def _views(
     kept: Sequence[tuple[int, Frame, Observation]],
     placed: Sequence[Observation],
     labels: Sequence[dict[int, int]],
+    settled: int = 0,
 ) -> list[View]:
-    """Views under their joint labels; an object has the name that it has where it is met first."""
+    """Views under their joint labels; an object has the name that it has where it is met first. Settled ones
+    have these already."""
     names: dict[int, str] = {}
     for (_, frame, _), own in zip(kept, labels):
         for old, new in own.items():
@@ -138,18 +143,22 @@ def _views(
         for new in own.values():
             names.setdefault(new, f"object_{new}")
     views = []
-    for (number, frame, _), observation, own in zip(kept, placed, labels):
+    for index, ((number, frame, _), observation, own) in enumerate(zip(kept, placed, labels)):
+        if index < settled:
+            views.append(View(frame, observation, number))
+            continue
         given, renamed = relabelled(frame, observation, own, names)
         views.append(View(given, renamed, number))
     return views
 
 
-def _agreeing(views: list[View], config: PerceptionConfig) -> tuple[list[View], list[str]]:
-    """The views, or parts of them, that do not contradict most others, and a line for what was left out."""
+def _agreeing(views: list[View], config: PerceptionConfig, settled: int = 0) -> tuple[list[View], list[str]]:
+    """The views, or parts of them, that do not contradict most others, and a line for what was left out.
+    settled: so many of them were found to agree before."""
     if len(views) == 1:
         return views, []
     spaces = [Space.of(view.observation, config) for view in views]
-    left = to_leave_out(contradictions(views, spaces, config), [view.labels for view in views])
+    left = to_leave_out(contradictions(views, spaces, config, settled), [view.labels for view in views])
     whole = {entry.view for entry in left if entry.label is None}
     notes = [_line(entry, views) for entry in left]
     kept = []

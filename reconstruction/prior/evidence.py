@@ -125,7 +125,10 @@ def hidden_labels(
     if observation.support is None:
         count = len(observation.objects) + 1
         return np.full((len(points), count), 1 / count, np.float32)
-    prior = prior or OcclusionPrior.load()
     visible = [item.outline for item in observation.objects]
     floors = [item.floor for item in observation.objects]
-    return prior.distribution(visible, space.origin, RayLookup(observation, space), points, floors)
+    lookup = observation.memo.setdefault("rays", RayLookup(observation, space))
+    if prior is not None:
+        return prior.distribution(visible, space.origin, lookup, points, floors)
+    own = OcclusionPrior.load()
+    return own.distribution(visible, space.origin, lookup, points, floors, observation.memo)

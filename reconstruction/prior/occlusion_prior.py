@@ -10,6 +10,7 @@ import json
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -60,15 +61,17 @@ class OcclusionPrior:
         evidence: Evidence,
         points: np.ndarray,
         floors: Sequence[float] | None = None,
+        memo: dict[Any, Any] | None = None,
     ) -> np.ndarray:
         """Class distribution (N, K+1) float32 over {empty, object 1..K} at points (N, 3).
 
         visible: (M, 3) float32 visible points of each object; origin: (3,) where the rays start; evidence:
         what the rays say of points. All in the table frame [m]. floors: heights of the supports that the
-        objects stand on, 0 by default. Meant for hidden points; points that rays
+        objects stand on, 0 by default. memo: keeps what is worked out of the objects and not of the points,
+        for the next points of the same frame. Meant for hidden points; points that rays
         have passed through are the caller's to exclude.
         """
-        odds = self.log_odds(visible, origin, evidence, points, floors)
+        odds = self.log_odds(visible, origin, evidence, points, floors, memo)
         # Log odds compare an object with "empty", so one softmax gives every point one distribution.
         odds = np.concatenate([np.zeros((len(odds), 1), np.float32), odds], axis=1)
         odds = np.exp(odds - odds.max(axis=1, keepdims=True))
@@ -81,6 +84,7 @@ class OcclusionPrior:
         evidence: Evidence,
         points: np.ndarray,
         floors: Sequence[float] | None = None,
+        memo: dict[Any, Any] | None = None,
     ) -> np.ndarray:
         """Log odds (N, K) float32 of each object against its absence; OUTSIDE beyond its box or below its
         floor."""
@@ -131,9 +135,14 @@ class OcclusionPrior:
             result[rows, index] = odds[0].numpy()
 
         with Threads() as threads:
-            threads.map(look, range(len(boxes)))
-            # A batch a thread: one object at a time costs five times as much.
-            features = torch.cat(threads.map(encode, threads.split(len(boxes))))
+            if memo and (self, "objects") in memo:
+                features, bodies = memo[self, "objects"]
+            else:
+                threads.map(look, range(len(boxes)))
+                # A batch a thread: one object at a time costs five times as much.
+                features = torch.cat(threads.map(encode, threads.split(len(boxes))))
+                if memo is not None:
+                    memo[self, "objects"] = features, bodies
             threads.map(decode, range(len(boxes)))
         return result
 

@@ -48,7 +48,10 @@ class JointSurface:
         """The surfaces that a joint observation shows. thinnest: see JointSurface."""
         views, own = [], []
         for view in observation.views:
-            views.append(SeenSurface.of(view.observation, view.frame.depth))
+            memo = view.observation.memo
+            if "surface" not in memo:
+                memo["surface"] = SeenSurface.of(view.observation, view.frame.depth)
+            views.append(memo["surface"])
             place = {label: index for index, label in enumerate(view.labels)}
             own.append(tuple(place.get(item.label, UNSEEN) for item in observation.objects))
         return cls(tuple(views), tuple(own), floors, thinnest)

@@ -95,8 +95,14 @@ class SeenSurface:
         return np.where(inside, row * np.int32(width) + column, 0), inside
 
     def edges(self, index: int) -> Edges:
-        """The edges of one object's image."""
-        return Edges.of(self, index)
+        """The edges of one object's image; the same when asked again."""
+        if index not in self._edges:
+            self._edges[index] = Edges.of(self, index)
+        return self._edges[index]
+
+    @cached_property
+    def _edges(self) -> dict[int, Edges]:
+        return {}
 
 
 @dataclass(frozen=True)
