@@ -63,7 +63,7 @@ class Space:
         config = config or PerceptionConfig()
         if ("space", config) not in observation.memo:
             observation.memo["space", config] = cls._of(observation, config)
-        return observation.memo["space", config]  # type: ignore[no-any-return]
+        return observation.memo["space", config]
 
     @classmethod
     def _of(cls, observation: Observation, config: PerceptionConfig) -> Space:
