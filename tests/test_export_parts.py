@@ -5,6 +5,7 @@ import pytest
 import trimesh
 
 from reconstruction.export.apart import GAP, below, kept_apart, overlap
+from reconstruction.export.balance import balanced, resting_points
 from reconstruction.export.collision import ConvexParts
 from reconstruction.export.footing import PATCH, with_footing
 from reconstruction.export.hulls import convex_hull
@@ -86,3 +87,26 @@ def test_flat_things_keep_their_parts_when_they_get_their_foot():
     assert plate.bounds[1, 2] < PATCH
     assert footed.parts[0].bounds[:, 2] == pytest.approx([0, 0.00175])
     assert footed.error_m < 0.002
+
+
+def test_a_centre_of_mass_outside_of_its_ground_is_moved_over_it_and_no_other():
+    square = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]], float)
+    inside = np.array([0.05, 0.04, 0.03])
+    assert balanced(inside, square) is not None
+    assert np.array_equal(balanced(inside, square), inside)
+    moved = balanced(np.array([0.105, 0.05, 0.03]), square)
+    assert moved == pytest.approx([0.05 + 0.8 * 0.05, 0.05, 0.03])
+    far = np.array([0.3, 0.05, 0.03])
+    assert np.array_equal(balanced(far, square), far)
+    assert np.array_equal(balanced(far, square[:2]), far)  # on an edge: no ground
+
+
+def test_things_rest_on_the_support_and_on_what_is_below_or_beside_them():
+    table_box, upper = box((0.1, 0.1, 0.1), (0, 0, 0.05)), box((0.1, 0.1, 0.1), (0.05, 0, 0.152))
+    objects = {1: (table_box,), 2: (upper,)}
+    assert set(np.round(resting_points(1, objects, 0.0, 0.05)[:, 2], 3)) == {0.0}
+    resting = resting_points(2, objects, 0.0, 0.15)
+    assert len(resting)
+    assert set(np.round(resting[:, 2], 3)) == {0.1, 0.102}
+    assert resting[:, 0].min() == pytest.approx(0.0)
+    assert len(resting_points(2, {2: (upper,)}, 0.0, 0.15)) == 0

@@ -13,13 +13,13 @@ import trimesh
 
 from reconstruction.export.hulls import convex_hull
 
-GAP = 0.0004
-"""Left between two parts that were cut apart [m]: what engines keep between bodies anyway."""
+GAP = 0.002
+"""Between parts of two objects [m]: pybullet keeps 1 mm around either, and throws apart what is nearer."""
 Parts = tuple[trimesh.Trimesh, ...]
 
 
 def kept_apart(objects: Mapping[int, Parts]) -> dict[int, Parts]:
-    """Label -> convex parts [m] of objects in one frame, none of which overlaps one of another object.
+    """Label -> convex parts [m] of objects in one frame, none nearer than GAP to one of another object.
 
     An object always keeps at least one part: one that would lose all stays as it was.
     """
@@ -50,16 +50,17 @@ def _separate(first: list, second: list) -> None:
 
 def overlap(first: trimesh.Trimesh, second: trimesh.Trimesh) -> tuple[np.ndarray, float, float] | None:
     """A direction n (3,) along which two convex meshes overlap least, of their faces' normals: the second
-    begins at n x = low and the first ends at n x = high > low [m]. None when one of them parts the two."""
+    begins at n x = low and the first ends at n x = high > low - GAP [m]. None when one of them parts the two
+    by GAP."""
     (low, high), (other_low, other_high) = first.bounds, second.bounds
-    if (low >= other_high).any() or (other_low >= high).any():
+    if (low >= other_high + GAP).any() or (other_low >= high + GAP).any():
         return None
     a, b = np.asarray(first.vertices), np.asarray(second.vertices)
     normals = np.concatenate([first.face_normals, -second.face_normals, np.eye(3), -np.eye(3)])
     ends, begins = (normals @ a.T).max(1), (normals @ b.T).min(1)
     depth = ends - begins
     best = int(depth.argmin())
-    if depth[best] <= 0:
+    if depth[best] <= -GAP + 1e-9:
         return None
     return normals[best], float(begins[best]), float(ends[best])
 

@@ -18,6 +18,7 @@ from mapping.errors import ConfigError
 from perception.camera import invert_rigid, transform
 from perception.frame import Frame
 from reconstruction.export.apart import kept_apart
+from reconstruction.export.balance import balanced, resting_points
 from reconstruction.export.collision import CollisionConfig, ConvexParts, convex_parts
 from reconstruction.export.footing import with_footing
 from reconstruction.export.parts_error import parts_error
@@ -76,7 +77,10 @@ class ExportObject:
         return [w, x, y, z]
 
     def inertia(self, density: float) -> tuple[float, np.ndarray, np.ndarray]:
-        """Mass [kg], centre of mass (3,) [m] and inertia (3, 3) [kg m^2] about it, in the object's frame."""
+        """Mass [kg], centre of mass (3,) [m] and inertia (3, 3) [kg m^2] about it, of an even density.
+
+        All in the object's frame.
+        """
         solid = self.mesh.copy()
         solid.density = density
         return float(solid.mass), np.array(solid.center_mass), np.array(solid.moment_inertia)
@@ -138,6 +142,25 @@ class ExportScene:
             ]
         return self._apart({item.label: parts for item, parts in zip(self.objects, cut)})
 
+    @cached_property
+    def centres(self) -> dict[int, np.ndarray]:
+        """Label -> centre of mass (3,) [m] in the object's frame.
+
+        That of an even density, or where the object does not fall from where it was seen at rest.
+        """
+        even = {item.label: item.inertia(self.config.density)[1] for item in self.objects}
+        if not self.support_found:
+            return even
+        poses = self._poses()
+        placed = self._placed(self.parts, poses)
+        found = {}
+        for label, centre in even.items():
+            T = poses[label]
+            here = transform(T, centre[None])[0]
+            there = balanced(here, resting_points(label, placed, 0.0, here[2]))
+            found[label] = transform(invert_rigid(T), there[None])[0]
+        return found
+
     @property
     def has_parts(self) -> bool:
         """Whether convex parts have been asked for by now."""
@@ -169,12 +192,8 @@ class ExportScene:
 
     def _apart(self, parts: dict[int, ConvexParts]) -> dict[int, ConvexParts]:
         """The parts, cut where those of two objects overlap. All z axes are parallel: one frame for all."""
-        T_table_world = invert_rigid(self.T_world_table)
-        poses = {item.label: T_table_world @ item.T_world_object for item in self.objects}
-        placed = {
-            label: tuple(moved(part, poses[label]) for part in of_one.parts)
-            for label, of_one in parts.items()
-        }
+        poses = self._poses()
+        placed = self._placed(parts, poses)
         apart, found = kept_apart(placed), dict(parts)
         for item in self.objects:
             kept = apart[item.label]
@@ -183,13 +202,34 @@ class ExportScene:
                 found[item.label] = ConvexParts(own, *parts_error(item.solid, own))
         return found
 
+    def _poses(self) -> dict[int, np.ndarray]:
+        """Label -> T_table_object (4, 4)."""
+        T_table_world = invert_rigid(self.T_world_table)
+        return {item.label: T_table_world @ item.T_world_object for item in self.objects}
+
+    def _placed(
+        self, parts: dict[int, ConvexParts], poses: dict[int, np.ndarray]
+    ) -> dict[int, tuple[trimesh.Trimesh, ...]]:
+        """Label -> convex parts [m] in the table frame."""
+        return {
+            label: tuple(moved(part, poses[label]) for part in of_one.parts)
+            for label, of_one in parts.items()
+        }
+
     def collision_statement(self) -> dict[str, Any]:
-        """Number of convex parts of each object, and how far they are from its surface [mm]."""
+        """Number of convex parts of each object and how far they are from its surface [mm].
+
+        centre_moved_mm: how far its centre of mass is from that of an even density, to keep it at rest.
+        """
+        even = {item.label: item.inertia(self.config.density)[1] for item in self.objects}
         return {
             item.key: {
                 "parts": len(self.parts[item.label].parts),
                 "missing_mm": round(1e3 * self.parts[item.label].missing_m, 2),
                 "excess_mm": round(1e3 * self.parts[item.label].excess_m, 2),
+                "centre_moved_mm": round(
+                    1e3 * float(np.linalg.norm(self.centres[item.label] - even[item.label])), 2
+                ),
             }
             for item in self.objects
         }

@@ -73,6 +73,13 @@ def _body(
         quat=_numbers(np.array(item.quaternion_wxyz)),
     )
     xml.SubElement(body, "freejoint", name=item.key)
+    mass, even, tensor = item.inertia(scene.config.density)
+    centre = scene.centres[item.label]
+    if not np.allclose(centre, even, rtol=0, atol=1e-6):
+        # Where the mesh's own centre of mass would let it fall.
+        turning = [tensor[a, b] for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+        values = " ".join(f"{value:.9g}" for value in turning)
+        xml.SubElement(body, "inertial", pos=_numbers(centre), mass=f"{mass:.9g}", fullinertia=values)
     (folder / f"{item.key}.obj").write_bytes(encode_obj(item.mesh))
     xml.SubElement(assets, "mesh", name=item.key, file=f"{item.key}.obj", inertia="exact")
     xml.SubElement(

@@ -33,7 +33,7 @@ def write(scene: ExportScene, folder: Path) -> None:
         single = xml.Element("robot", name=item.key)
         single.append(xml.Comment(" object frame, m, kg; the pose in the world is in poses.json "))
         for robot in (single, whole):
-            robot.append(_link(item, len(parts), scene.config))
+            robot.append(_link(item, len(parts), scene.centres[item.label], scene.config))
         _save(single, folder / f"{item.key}.urdf")
         whole.append(_fixed_joint(item))
     _save(whole, folder / "scene.urdf")
@@ -47,9 +47,9 @@ def _write_meshes(item: ExportObject, parts: tuple[trimesh.Trimesh, ...], folder
         (folder / f"part_{index:03d}.obj").write_bytes(encode_obj(part))
 
 
-def _link(item: ExportObject, parts: int, config: ExportConfig) -> xml.Element:
+def _link(item: ExportObject, parts: int, centre: np.ndarray, config: ExportConfig) -> xml.Element:
     link = xml.Element("link", name=item.key)
-    mass, centre, tensor = item.inertia(config.density)
+    mass, _, tensor = item.inertia(config.density)
     inertial = xml.SubElement(link, "inertial")
     xml.SubElement(inertial, "origin", xyz=_numbers(centre), rpy="0 0 0")
     xml.SubElement(inertial, "mass", value=f"{mass:.9g}")

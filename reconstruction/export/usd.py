@@ -48,7 +48,7 @@ def _body(stage: Any, item: ExportObject, scene: ExportScene) -> None:
     prim.SetCustomDataByKey("label", item.label)
     prim.SetCustomDataByKey("name", item.name)
     UsdPhysics.RigidBodyAPI.Apply(prim)
-    _mass(prim, item, scene.config.density)
+    _mass(prim, item, scene.centres[item.label], scene.config.density)
     _mesh(stage, f"{path}/visual", item.mesh)
     for index, part in enumerate(scene.parts[item.label].parts):
         collider = _mesh(stage, f"{path}/collision/part_{index:03d}", part)
@@ -57,11 +57,11 @@ def _body(stage: Any, item: ExportObject, scene: ExportScene) -> None:
         UsdGeom.Imageable(collider).CreatePurposeAttr(UsdGeom.Tokens.guide)
 
 
-def _mass(prim: Any, item: ExportObject, density: float) -> None:
+def _mass(prim: Any, item: ExportObject, centre: np.ndarray, density: float) -> None:
     from pxr import Gf, UsdPhysics
     from scipy.spatial.transform import Rotation
 
-    mass, centre, tensor = item.inertia(density)
+    mass, _, tensor = item.inertia(density)
     diagonal, axes = np.linalg.eigh(tensor)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     x, y, z, w = Rotation.from_matrix(axes).as_quat(canonical=True)

@@ -1,0 +1,89 @@
+"""Where the mass of something seen at rest must be: over what it stands on.
+
+The inside of an object is guessed, and so is its even density: where the two would let it fall over, the
+centre of mass is elsewhere. Knows convex parts and a centre of mass; knows nothing of formats.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from reconstruction.export.apart import Parts
+
+TOUCHES = 0.004
+"""Parts this near to the support or to another object are taken to rest on it [m]."""
+WITHIN = 0.8
+"""The centre of mass lies within this share of the way from the middle of the ground covered to its rim."""
+FARTHEST = 0.03
+"""A centre of mass is moved no further than this [m]: then something else is wrong."""
+
+
+def resting_points(label: int, objects: Mapping[int, Parts], support: float, below: float) -> np.ndarray:
+    """Places (N, 3) [m] lower than z = `below` where an object touches the plane z = `support` or another.
+
+    objects: label -> convex parts in a frame with z up. Places are corners of either's parts.
+    """
+    own = objects[label]
+    corners = np.concatenate([np.asarray(part.vertices) for part in own])
+    found = [corners[corners[:, 2] < support + TOUCHES]]
+    for other, parts in objects.items():
+        if other != label:
+            theirs = np.concatenate([np.asarray(part.vertices) for part in parts])
+            found += [corners[_near(corners, parts)], theirs[_near(theirs, own)]]
+    together = np.concatenate(found)
+    return together[together[:, 2] < below]
+
+
+def _near(points: np.ndarray, parts: Parts) -> np.ndarray:
+    """Which points (N, 3) are in a convex part that was grown by TOUCHES: (N,) bool."""
+    inside = np.zeros(len(points), bool)
+    for part in parts:
+        low, high = part.bounds
+        near = np.flatnonzero(~inside & (points > low - TOUCHES).all(1) & (points < high + TOUCHES).all(1))
+        if len(near):
+            normals = part.face_normals
+            heights = np.einsum("ij,ij->i", normals, part.triangles[:, 0])
+            inside[near] = (points[near] @ normals.T <= heights + TOUCHES).all(1)
+    return inside
+
+
+def balanced(centre: np.ndarray, resting: np.ndarray) -> np.ndarray:
+    """The centre of mass (3,) [m], moved level to where an object that rests on points (N, 3) does not fall.
+
+    It stays where it is when it is well within their ground already, when they cover none, or when it would
+    have to be moved too far.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = ConvexHull(resting[:, :2])
+    except (QhullError, ValueError):
+        return centre
+    rim = resting[hull.vertices, :2]
+    middle = _centroid(rim)
+    rim = middle + WITHIN * (rim - middle)
+    moved = _nearest_within(centre[:2], rim)
+    if np.linalg.norm(moved - centre[:2]) > FARTHEST:
+        return centre
+    return np.array([*moved, centre[2]])
+
+
+def _centroid(rim: np.ndarray) -> np.ndarray:
+    """Centre of area (2,) of a convex polygon (N, 2)."""
+    origin = rim[0]
+    a, b = rim[1:-1] - origin, rim[2:] - origin
+    areas = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    return origin + ((a + b) * areas[:, None]).sum(0) / (3 * areas.sum())
+
+
+def _nearest_within(point: np.ndarray, rim: np.ndarray) -> np.ndarray:
+    """The point (2,) of a convex polygon (N, 2), counterclockwise, that is nearest to a point."""
+    ways = np.roll(rim, -1, axis=0) - rim
+    offsets = point - rim
+    if (ways[:, 0] * offsets[:, 1] - ways[:, 1] * offsets[:, 0] >= 0).all():
+        return point
+    share = np.clip((offsets * ways).sum(1) / np.maximum((ways**2).sum(1), 1e-18), 0, 1)
+    nearest = rim + share[:, None] * ways
+    return nearest[np.linalg.norm(nearest - point, axis=1).argmin()]
