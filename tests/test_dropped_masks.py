@@ -9,7 +9,7 @@ from trimesh import Trimesh
 
 from mapping.errors import DataError
 from reconstruction.solid import Solid
-from tools.dropped_masks import Drop, judge, main
+from tools.dropped_masks import Drop, Part, judge, main
 
 
 def test_little_of_a_dropped_object_is_free(tabletop: Tabletop) -> None:
@@ -21,6 +21,11 @@ def test_little_of_a_dropped_object_is_free(tabletop: Tabletop) -> None:
         assert row["inside_free"] <= 0.01
         assert row["measured_free"] <= 0.001
         assert row["inside_other"] > 0.1
+
+
+@pytest.mark.parametrize(("drops", "labels"), [(1, [1]), (2, [1, 3]), (4, [1, 2, 3, 4]), (9, [1, 2, 3, 4])])
+def test_dropped_labels_are_spread_over_all(tabletop: Tabletop, drops: int, labels: list[int]) -> None:
+    assert Part(0, 1, drops).labels(tabletop.frame) == labels
 
 
 def test_pieces_make_one_table(tmp_path: Path) -> None:

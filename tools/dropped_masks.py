@@ -65,7 +65,8 @@ class Part:
     def labels(self, frame: Frame) -> list[int]:
         """The labels to drop, spread evenly over those that are large enough."""
         large = _large(frame)
-        return [large[index * len(large) // self.drops] for index in range(min(self.drops, len(large)))]
+        count = min(self.drops, len(large))
+        return [large[index * len(large) // count] for index in range(count)]
 
 
 def main(
@@ -113,6 +114,8 @@ def main(
             rows.append({"kind": "simulated" if number < len(simulated) else "real", **row})
     if not rows:
         raise DataError("no frame has two labels of which one can be dropped")
+    # Pieces may overlap: of two rows of one drop the later one counts.
+    rows = list({(row["frame"], row["label"]): row for row in rows}.values())
     figures = {**summary(rows), "written_by": written_by, "rows": rows}
     for row in sorted(rows, key=lambda row: -row["inside_free"])[:10]:
         print(
