@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmark_scenes import write_scenes
-from killing import digest, without_times
+from kill_targets import digest, without_times
 from solids import reconstructed_tabletop
 
 from mapping.errors import DataError
