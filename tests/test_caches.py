@@ -12,6 +12,7 @@ import pytest
 import trimesh
 
 from mapping.errors import DataError
+from reconstruction.surface.meshing import closed_surface
 from reconstruction.surface.parts import parts_to_keep
 from sim_scenes import convex_parts
 from sim_scenes.convex_parts import collision_file, is_whole
@@ -189,3 +190,16 @@ def test_small_parts_that_were_seen_are_delivered() -> None:
     assert parts_to_keep(parts, sizes, 0.05, seen).tolist() == [1, 2]
     assert parts_to_keep(parts, sizes, 0.05, None).tolist() == [1]
     assert parts_to_keep(parts, sizes, 0.0, None).tolist() == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(("points", "there"), [(40, True), (0, False)])
+def test_a_small_part_of_an_object_is_in_its_mesh_when_it_was_seen(points: int, there: bool) -> None:
+    nodes = np.indices((40, 20, 20)).transpose(1, 2, 3, 0)
+    large = 8.0 - np.linalg.norm(nodes - (10, 10, 10), axis=-1)
+    small = 2.0 - np.linalg.norm(nodes - (32, 10, 10), axis=-1)  # 1.6 % of the large part
+    seen = np.concatenate([np.tile([3, 10, 10], (100, 1)), np.tile([31, 9, 9], (points, 1))])
+    found = closed_surface(np.maximum(large, small).astype(np.float32), 0.05, seen)
+    assert found is not None
+    mesh = trimesh.Trimesh(*found, process=False)
+    assert mesh.is_watertight
+    assert (mesh.bounds[1, 0] > 30) == there

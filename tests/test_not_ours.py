@@ -212,6 +212,22 @@ def test_an_output_folder_that_is_a_mount_point_is_filled(one, disk: Path) -> No
     assert not [path for path in disk.iterdir() if is_temporary(path)]
 
 
+@pytest.mark.parametrize("exists", [pytest.param(True, marks=pytest.mark.slow), False])
+def test_an_output_folder_on_another_disk_behind_a_link(
+    one, disk: Path, tmp_path: Path, exists: bool
+) -> None:
+    """Behind a link. Nothing is written beside that, where it could not be renamed into place."""
+    there = disk / "result"
+    if exists:
+        there.mkdir()
+    (tmp_path / "out").symlink_to(there)
+    save_reconstruction(one, tmp_path / "out")
+    save_reconstruction(one, tmp_path / "out", overwrite=True)
+    assert load_result(there).objects
+    assert [path.name for path in disk.iterdir()] == ["result"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["disk", "out"]
+
+
 def test_a_read_only_disk_is_said_before_the_work(one, saved: Path, disk: Path, monkeypatch) -> None:
     copy = shutil.copytree(saved, disk / "result")
     subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)

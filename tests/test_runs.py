@@ -20,7 +20,7 @@ from tools.evaluation.job import NULL_METHOD, RESULT_FORMAT, RESULT_KEYS, Job, R
 from tools.exit_code import exit_code
 from tools.runs.failures import RunsFailed
 from tools.runs.kept import read_kept
-from tools.runs.signals import Stopped
+from tools.runs.signals import Stopped, handlers_kept, stopped_by_signals
 from tools.runs.workers import map_in_workers, run_in_workers
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([*sys.path, str(Path(__file__).parent)])}
@@ -62,6 +62,18 @@ def test_a_dead_worker_costs_the_task_it_had_and_no_other() -> None:
     assert [number for number, done in found.items() if done.died] == [-1, -2]
     assert str(found[100].error) == "too large"
     assert {number: found[number].result for number in (1, 7, 2, 8, 3)} == {1: 1, 7: 49, 2: 4, 8: 64, 3: 9}
+
+
+def test_a_worker_that_dies_with_nothing_to_do_costs_no_task() -> None:
+    """The task it would have had is not lost between the queue and the worker."""
+    import multiprocessing
+
+    iterator = run_in_workers(abs, [-2, -3], 1)
+    assert next(iterator).result == 2
+    (idle,) = multiprocessing.active_children()
+    idle.kill()
+    idle.join()
+    assert [(over.task, over.result, over.died) for over in iterator] == [(-3, 3, False)]
 
 
 def die_once(path: str) -> str:
@@ -127,6 +139,28 @@ def test_no_worker_outlives_a_command_that_is_killed(tmp_path: Path, number: str
     said = command.stderr.read()
     assert "Traceback" not in said
     assert (f"x: ended by {number}" in said) == (number != "SIGKILL")
+
+
+def take_over_and_be_ended() -> None:
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(number))
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(5)  # until the handler is called
+
+
+def test_a_library_that_takes_signals_over_takes_none_away() -> None:
+    """Ray's handler is there while Ray starts, and ends the process in its own way."""
+    before = signal.getsignal(signal.SIGTERM)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    try:
+        with stopped_by_signals():
+            ours = signal.getsignal(signal.SIGTERM)
+            with handlers_kept():
+                signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(number))
+            assert signal.getsignal(signal.SIGTERM) is ours
+            with pytest.raises(Stopped, match="SIGTERM"), handlers_kept():
+                take_over_and_be_ended()
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def test_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:

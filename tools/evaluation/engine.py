@@ -5,13 +5,11 @@ Every job seeds itself and fixes its thread count, so neither the engine nor the
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from mapping.errors import ConfigError
 from tools.evaluation.job import Job, run_job
-from tools.runs.signals import handlers_kept
+from tools.runs.ray_cluster import ray_cluster
 from tools.runs.workers import CRASHED, run_in_workers, worker_environment
 
 Failures = list[dict[str, str]]
@@ -47,17 +45,8 @@ def run_ray(jobs: Sequence[Job], workers: int, finished: Finished, address: str 
 
     Scenes and results must lie where every node can reach them. Raises ConfigError without ray.
     """
-    try:
-        import ray
-    except ImportError as error:
-        raise ConfigError("--engine ray needs ray: pip install 'contramap[cluster]'") from error
     threads = jobs[0].threads if jobs else 1
-    started = not ray.is_initialized()
-    if started:
-        local = {"num_cpus": workers, "include_dashboard": False} if address is None else {"address": address}
-        with handlers_kept():
-            ray.init(**local, log_to_driver=False, logging_level=logging.ERROR)
-    try:
+    with ray_cluster(workers, address) as ray:
         environment = {"env_vars": worker_environment(threads)}
         remote = ray.remote(num_cpus=1, max_retries=0, runtime_env=environment)(run_job)
         running = {remote.remote(job): job for job in jobs}
@@ -75,6 +64,3 @@ def run_ray(jobs: Sequence[Job], workers: int, finished: Finished, address: str 
             except ray.exceptions.RayError as error:
                 failures = [job.failure(run, f"{error}".splitlines()[0] or CRASHED) for run in job.missing()]
             finished(job, failures)
-    finally:
-        if started:
-            ray.shutdown()

@@ -21,16 +21,26 @@ class Stopped(BaseException):
 
 @contextmanager
 def handlers_kept() -> Iterator[None]:
-    """Handlers that a library sets inside are undone: Ray's own prints a stack instead of one line."""
+    """Handlers that a library sets inside are undone, and a SIGTERM that reached one of them reaches ours.
+
+    Ray's raises SystemExit.
+    """
     known = [getattr(signal, name) for name in NAMES if hasattr(signal, name)]
     before = {number: signal.getsignal(number) for number in known}
+    asked = None
     try:
         yield
+    except SystemExit as error:
+        asked = error
     finally:
         if threading.current_thread() is threading.main_thread():
             for number, handler in before.items():
                 if handler is not None:  # None: set by other code than Python's, which cannot be put back
                     signal.signal(number, handler)
+    if asked is not None:
+        if callable(ours := before[signal.SIGTERM]):
+            ours(signal.SIGTERM, None)
+        raise asked
 
 
 @contextmanager

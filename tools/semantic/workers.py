@@ -5,13 +5,12 @@ Knows functions of a job and a tile; must not know what they do.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from functools import partial
 
-from mapping.errors import ConfigError, DataError
+from mapping.errors import DataError
 from mapping.threads import thread_count
-from tools.runs.signals import handlers_kept
+from tools.runs.ray_cluster import ray_cluster
 from tools.runs.workers import run_in_workers
 from tools.semantic.tiles import Job
 
@@ -55,23 +54,10 @@ def _in_processes(task: Task, job: Job, tiles: list[Tile], workers: int, done: C
 
 
 def _on_ray(task: Task, job: Job, tiles: list[Tile], workers: int, done: Callable[[], object]) -> None:
-    try:
-        import ray
-    except ImportError as error:
-        raise ConfigError("--engine ray needs ray: pip install 'contramap[cluster]'") from error
-    started = not ray.is_initialized()
-    if started:
-        with handlers_kept():
-            ray.init(
-                num_cpus=workers, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR
-            )
-    try:
+    with ray_cluster(workers) as ray:
         remote = ray.remote(num_cpus=1, max_retries=RETRIES)(task)
         running = [remote.remote(job, tile) for tile in tiles]
         while running:
             (finished,), running = ray.wait(running, num_returns=1)
             ray.get(finished)
             done()
-    finally:
-        if started:
-            ray.shutdown()
