@@ -10,6 +10,7 @@ import json
 import os
 import shutil
 import time
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -45,6 +46,8 @@ def start(arguments: list[str], log: Path) -> int:
         code = main(arguments)
     except KeyboardInterrupt:  # before the command could say so
         code = 130
+    except BaseException:
+        traceback.print_exc()
     finally:
         os._exit(code)
 
