@@ -20,6 +20,7 @@ from sim_scenes.object_source import ObjectSource, object_source
 from sim_scenes.objects import ycb
 from sim_scenes.objects.mesh_folder import FolderConfig, MeshFolder
 from sim_scenes.objects.split import HELD_OUT_SHARE
+from sim_scenes.pose_noise import check_pose_noise, noisy_pose
 from sim_scenes.render import Renderer, random_cameras
 from sim_scenes.sensor_noise import noisy_depth, noisy_labels
 from sim_scenes.surroundings import Surroundings
@@ -49,9 +50,12 @@ def generate(
     label_noise: bool = False,
     progress: bool = True,
     folder: FolderConfig | None = None,
+    pose_noise: tuple[float, float] | None = None,
 ) -> list[Path]:
     """Make `count` scenes below `out`, named scene_0000 and on; finished ones of the same settings are kept.
 
+    pose_noise: the stated poses of all views but the first are wrong by up to so many metres and degrees;
+    truth.json has the true ones.
     folder: which objects, where `objects` is a folder of meshes; OUT/objects.json then records the choice.
     Scene i depends on (seed, i) and the settings alone. Returns the scene folders.
     Raises ConfigError for senseless arguments or a folder whose scenes were made with other settings.
@@ -68,6 +72,9 @@ def generate(
         "sensor_noise": sensor_noise,
         "label_noise": label_noise,
     }
+    check_pose_noise(pose_noise)
+    if pose_noise is not None:
+        settings["pose_noise"] = list(pose_noise)
     if source.folder is not None:
         settings["objects_of"] = source.folder.record()
     folders = [Path(out) / f"scene_{index:04d}" for index in range(count)]
@@ -111,7 +118,21 @@ def write_scene(
         for camera, view in zip(cameras, views):
             frame = _frame(renderer, camera, placed, rng, settings)
             save_frame(frame, partial / view, DEPTH_SCALE)
-        _write_truth(partial, placed, source, settings, views)
+        if "pose_noise" in settings:
+            _misstate_poses(partial, views[1:], settings, rng)
+        poses = [camera.T_world_camera for camera in cameras]
+        _write_truth(partial, placed, source, settings, views, poses)
+
+
+def _misstate_poses(
+    folder: Path, views: Sequence[str], settings: dict[str, Any], rng: np.random.Generator
+) -> None:
+    """Put a wrong pose into the camera files of views."""
+    for view in views:
+        path = folder / view / "camera.json"
+        content = json.loads(path.read_text())
+        wrong = noisy_pose(np.array(content["T_world_camera"]), *settings["pose_noise"], rng)
+        path.write_text(json.dumps({**content, "T_world_camera": wrong.tolist()}, indent=1) + "\n")
 
 
 def _frame(
@@ -181,6 +202,7 @@ def _write_truth(
     source: ObjectSource,
     settings: dict[str, Any],
     views: Sequence[str],
+    poses: Sequence[np.ndarray],
 ) -> None:
     objects = []
     for label, item in enumerate(placed, start=1):
@@ -206,6 +228,7 @@ def _write_truth(
         **settings,
         "support_plane": [0.0, 0.0, 1.0, 0.0],
         "views": list(views),
+        "T_world_camera": [pose.tolist() for pose in poses],
         "ycb_dir": None if source.ycb_dir is None else str(source.ycb_dir),
         "settings": settings,
         "objects": objects,

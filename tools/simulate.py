@@ -21,6 +21,7 @@ def scenes(
     views: int = 1,
     sensor_noise: bool = False,
     label_noise: bool = False,
+    pose_noise: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="M DEG")] = None,
 ) -> None:
     """Simulate tabletop scenes with known truth, settled by physics.
 
@@ -41,12 +42,14 @@ def scenes(
         views: Cameras around each scene; the first is the scene folder itself.
         sensor_noise: Give the depth a real camera's errors.
         label_noise: Erode, dilate and leak the instance masks.
+        pose_noise: The stated poses of all views but the first are wrong by up to so many metres and degrees.
     """
     from sim_scenes.dataset import generate
     from sim_scenes.objects.mesh_folder import FolderConfig
 
     chosen = FolderConfig(part, only, max_size)
-    folders = generate(out, count, seed, objects, ycb, views, sensor_noise, label_noise, folder=chosen)
+    noise = (sensor_noise, label_noise)
+    folders = generate(out, count, seed, objects, ycb, views, *noise, folder=chosen, pose_noise=pose_noise)
     print(f"{len(folders)} scenes in {out}")
 
 

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import trimesh
@@ -21,47 +20,14 @@ import tyro
 from mapping.errors import ConfigError
 from perception.camera import Camera, invert_rigid
 from perception.frame import Frame
+from sim_scenes.pose_noise import DEGREES_A_METRE, noisy_pose
+from tools.evaluation.several_views import METHODS, ManyViews
 from tools.evaluation.unions import SAMPLES, iou_of_union, surface_of_union
 from tools.exit_code import exit_code
 
-if TYPE_CHECKING:
-    from reconstruction.result import Reconstruction
-    from reconstruction.solid import Solid
-
 LEAST_PIXELS = 200
 """Objects that show fewer pixels in the first view are not judged."""
-CARD_SPACING = 0.01
-"""Voxels on which p(uncertain) is to tell occluded from seen space [m]."""
-CARD_RADIUS = 0.15
-"""They lie within this distance of true object centres [m]."""
 METRICS = ("chamfer_mm", "fscore_5mm", "iou_2_5mm", "agreement", "uncertainty", "occlusion_auroc", "seconds")
-UNCERTAIN_NULL = float("nan")
-
-
-@dataclass(frozen=True)
-class ManyViews:
-    """A scene: its frames, and the true shapes [m, world frame] of the judged objects by label."""
-
-    name: str
-    frames: list[Frame]
-    solids: dict[int, Solid]
-    kept: dict[int, Reconstruction] = field(default_factory=dict)
-
-    def alone(self, frame: Frame) -> Reconstruction:
-        """The map of one frame, made once."""
-        from reconstruction import reconstruct
-
-        if id(frame) not in self.kept:
-            self.kept[id(frame)] = reconstruct(frame)
-        return self.kept[id(frame)]
-
-
-@dataclass(frozen=True)
-class Answer:
-    """One object as a method has it. parts: closed meshes [m, world frame], whose union it is."""
-
-    parts: tuple[trimesh.Trimesh, ...]
-    uncertainty: float = UNCERTAIN_NULL
 
 
 def main(
@@ -69,6 +35,7 @@ def main(
     views: tuple[int, ...] = (1, 2, 3, 5),
     methods: tuple[str, ...] = ("contramap", "tsdf", "union"),
     wrong: Annotated[float, tyro.conf.arg(metavar="M")] = 0.02,
+    pose_noise: Annotated[tuple[float, ...], tyro.conf.arg(metavar="M")] = (),
     limit: int = 100,
     ycb: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
@@ -81,10 +48,12 @@ def main(
         views: Numbers of views.
         methods: contramap, tsdf (masked depth fused by Open3D), union (of single-view meshes).
         wrong: Also map the most views with one pose wrong by this much, and without that view; 0: do not [m].
+        pose_noise: Also map the most views with all poses but the first wrong by up to this much each [m];
+            200 degrees a metre go with it: 2 at 10 mm.
         limit: Scenes judged, at most.
         ycb: Folder of YCB scans, for scenes made of them.
         out: Also write the table to this Markdown file.
-        json: Also write the figures to this file.
+        json: Also write the figures to this file after each scene; scenes that it has are not judged again.
     """
     from tqdm import tqdm
 
@@ -102,23 +71,40 @@ def main(
         raise ConfigError(
             f"{scenes}: no scenes here; `contramap scenes {scenes} --views {max(views)}` makes some"
         )
-    rows: list[dict[str, Any]] = []
-    for folder in tqdm(folders, desc="scenes"):
+    asked = {"views": [*views], "methods": [*methods], "wrong": wrong, "pose_noise": [*pose_noise]}
+    rows = _judged_before(json, asked)
+    done = {row["folder"] for row in rows}
+    todo = [folder for folder in folders if str(folder.resolve()) not in done]
+    for folder in tqdm(todo, desc="scenes"):
         scene = load_scene(folder, max(views), ycb)
-        for method in methods:
-            rows += [
-                {"method": method, "views": str(count), **row}
-                for count in sorted(views)
-                for row in judge(scene, method, scene.frames[:count])
-            ]
+        found = [
+            {"method": method, "views": str(count), **row}
+            for method in methods
+            for count in sorted(views)
+            for row in judge(scene, method, scene.frames[:count])
+        ]
         if wrong and max(views) > 2:
-            rows += wrong_pose(scene, wrong)
-    text = table(rows, len(folders))
+            found += wrong_pose(scene, wrong)
+        for size in pose_noise:
+            found += noisy_poses(scene, size)
+        rows += [{**row, "folder": str(folder.resolve())} for row in found]
+        write_json({"asked": asked, "rows": rows}, json)
+    text = table(rows, len({row["folder"] for row in rows}))
     print(text)
     if out is not None:
         write_atomically(out, (HEAD.format(wrong=1e3 * wrong) + text).encode())
-    if json is not None:
-        write_json({"scenes": len(folders), "rows": rows}, json)
+
+
+def _judged_before(path: Path | None, asked: dict[str, Any]) -> list[dict[str, Any]]:
+    """Rows of an earlier run of the same kind; ConfigError when the file is of another."""
+    from mapping.guarded_files import read_json
+
+    if path is None or not path.is_file():
+        return []
+    content = read_json(path)
+    if not isinstance(content, dict) or content.get("asked") != asked:
+        raise ConfigError(f"{path}: holds figures of other --views, --methods or errors; name another file")
+    return list(content["rows"])
 
 
 def load_scene(folder: Path, count: int, ycb: Path | None = None) -> ManyViews:
@@ -190,58 +176,6 @@ def judge(scene: ManyViews, method: str, frames: Sequence[Frame]) -> list[dict[s
     return rows
 
 
-def of_contramap(scene: ManyViews, frames: Sequence[Frame]) -> tuple[dict[int, Answer], float]:
-    """The project's map of all views, and how well p(uncertain) tells occluded from seen space."""
-    from perception.space import Region
-    from reconstruction import reconstruct
-    from tools.evaluation.statistics import auroc
-
-    result = reconstruct(frames)
-    centres = np.array([solid.mesh.bounds.mean(0) for solid in scene.solids.values()])
-    low, high = centres.min(0) - CARD_RADIUS, centres.max(0) + CARD_RADIUS
-    axes = [np.arange(a, b, CARD_SPACING) for a, b in zip(low, high)]
-    world = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-    near = (np.linalg.norm(world[:, None] - centres, axis=2) < CARD_RADIUS).any(1)
-    T = invert_rigid(result.T_world_table)
-    local = (world[near] @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
-    region = result.space.classify(local)
-    occluded = region == Region.OCCLUDED
-    asked = occluded | (region == Region.FREE) | (region == Region.SURFACE)
-    uncertain = result.map.predict_proba(local[asked])[:, -1]
-    answers = {item.label: Answer((item.mesh,), item.mean_uncertainty) for item in result}
-    return answers, auroc(uncertain, occluded[asked])
-
-
-def of_tsdf(scene: ManyViews, frames: Sequence[Frame]) -> tuple[dict[int, Answer], float]:
-    """Open3D's TSDF fusion of each object's masked depth in all views."""
-    from perception.views.joint_space import space_of
-    from perception.views.observing_together import observe_together
-    from tools.evaluation.fitted_map import View
-    from tools.evaluation.tsdf import FittedTsdf
-
-    joint = observe_together(frames)
-    view = View(joint.views[0].frame, joint, space_of(joint))
-    T_world_table = view.frame.camera.T_world_camera @ invert_rigid(joint.T_table_camera)
-    answers = {}
-    for item, surface in zip(joint.objects, FittedTsdf(view).meshes(view)):
-        if surface is not None:
-            mesh = surface.mesh.copy().apply_transform(T_world_table)
-            answers[item.label] = Answer((mesh,), float(surface.uncertainty.mean()))
-    return answers, float("nan")
-
-
-def of_union(scene: ManyViews, frames: Sequence[Frame]) -> tuple[dict[int, Answer], float]:
-    """The null: every view mapped by itself, meshes of one object taken together."""
-    parts: dict[int, list[trimesh.Trimesh]] = {}
-    for frame in frames:
-        for item in scene.alone(frame):
-            parts.setdefault(item.label, []).append(item.mesh)
-    return {label: Answer(tuple(of_one)) for label, of_one in parts.items()}, float("nan")
-
-
-METHODS = {"contramap": of_contramap, "tsdf": of_tsdf, "union": of_union}
-
-
 def wrong_pose(scene: ManyViews, shift: float) -> list[dict[str, Any]]:
     """Rows for all views with the second one's pose wrong by `shift` [m], and for all but that one."""
     rng = np.random.default_rng(len(scene.name))
@@ -249,8 +183,7 @@ def wrong_pose(scene: ManyViews, shift: float) -> list[dict[str, Any]]:
     frame = scene.frames[1]
     T = frame.camera.T_world_camera.copy()
     T[:3, 3] += shift * direction / np.linalg.norm(direction)
-    moved = frame.renamed({})
-    object.__setattr__(moved, "camera", Camera(frame.camera.K, frame.camera.width, frame.camera.height, T))
+    moved = posed(frame, T)
     others = [scene.frames[0], *scene.frames[2:]]
     count = len(scene.frames)
     kept = ManyViews(scene.name, others, scene.solids)
@@ -264,13 +197,32 @@ def wrong_pose(scene: ManyViews, shift: float) -> list[dict[str, Any]]:
     ]
 
 
+def noisy_poses(scene: ManyViews, size: float) -> list[dict[str, Any]]:
+    """Rows for all views, the poses of all but the first wrong by up to `size` [m]."""
+    rng = np.random.default_rng(len(scene.name))
+    moved = [
+        posed(frame, noisy_pose(frame.camera.T_world_camera, size, DEGREES_A_METRE * size, rng))
+        for frame in scene.frames[1:]
+    ]
+    kept = ManyViews(scene.name, [scene.frames[0], *moved], scene.solids)
+    name = f"{len(scene.frames)}, poses to {1e3 * size:g} mm, {DEGREES_A_METRE * size:g} deg"
+    return [{"method": "contramap", "views": name, **row} for row in judge(kept, "contramap", kept.frames)]
+
+
+def posed(frame: Frame, T: np.ndarray) -> Frame:
+    """The same images, said to be taken from elsewhere."""
+    moved, camera = frame.renamed({}), frame.camera
+    object.__setattr__(moved, "camera", Camera(camera.K, camera.width, camera.height, T))
+    return moved
+
+
 HEAD = """# Several views
 
 `python -m tools.views SCENES --out docs/results/views.md`: means over the objects that show at least 200
 pixels in the first view. Chamfer and F-score on 10,000 samples, IoU on a 2.5 mm grid, agreement within 3 mm
 over the views used, uncertainty: mean p(uncertain) at vertices, occlusion_auroc: how well p(uncertain) tells
 space that no view has seen from the rest, seconds a scene. "wrong": the pose of view 2 is off by
-{wrong:.0f} mm.
+{wrong:.0f} mm. "poses to": every view but the first is said to be elsewhere, by up to so much each.
 
 """
 
