@@ -32,7 +32,7 @@ from reconstruction.surface.field import Field, evaluate_field
 from reconstruction.surface.joint_surface import JointSurface
 from reconstruction.surface.meshing import extract_mesh
 from reconstruction.surface.seen_surface import SeenSurface
-from reconstruction.warm_start import Before
+from reconstruction.warm_start import Before, Surface
 
 OTHER_MARGIN = 0.03
 """Obstacles without a label are mapped this far around what is seen of them [m]."""
@@ -40,14 +40,6 @@ OTHER_COARSER = 2
 """Their lattice is this many times as coarse as the objects'."""
 BELOW_FLOOR = 0.02
 """Objects are looked for a little below their support, so that their surface can end there [m]."""
-
-
-@dataclass(frozen=True)
-class Surface:
-    """One object's closed surface in the table frame. uncertainty: (V,) float32 p(uncertain) at vertices."""
-
-    mesh: trimesh.Trimesh
-    uncertainty: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -145,16 +137,22 @@ class FittedScene:
     @cached_property
     def meshes(self) -> list[Surface | None]:
         """The surface of each observed object, None where the map gives it no volume."""
+        objects = self.observation.objects
+        kept = {} if self.before is None else self.before.kept
 
         def extract(index: int) -> tuple[trimesh.Trimesh, np.ndarray] | None:
-            points = self.observation.objects[index].points
+            points = objects[index].points
             return extract_mesh(self.field, index, self.config.mesh, points, self.seen)
 
         # The largest first: no thread is to start with one when the others have ended.
         sizes = [odds.size for odds in self.field.log_odds]
-        order = sorted(range(len(self.observation.objects)), key=lambda index: -sizes[index])
+        asked = [index for index, item in enumerate(objects) if item.label not in kept]
+        order = sorted(asked, key=lambda index: -sizes[index])
         extracted = dict(zip(order, map_in_threads(extract, order)))
-        return [found and Surface(*found) for _, found in sorted(extracted.items())]
+        surfaces = {index: found and Surface(*found) for index, found in extracted.items()}
+        return [
+            surfaces[index] if index in surfaces else kept[item.label] for index, item in enumerate(objects)
+        ]
 
     @cached_property
     def other(self) -> Surface | None:

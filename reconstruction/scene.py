@@ -11,19 +11,20 @@ import numpy as np
 import trimesh
 
 from mapping.errors import ConfigError, DataError, FrameError
-from perception.camera import transform
+from perception.camera import invert_rigid, transform
 from perception.frame import Frame
 from perception.observation import Observation, ObservedObject, Skipped
 from perception.views.choosing import without_the_least_new
 from perception.views.joint import JointObservation, View
 from perception.views.observing_together import observe_together
 from perception.views.placing import relabelled
+from perception.views.touching import touches
 from reconstruction.config import PipelineConfig, pipeline_of
-from reconstruction.fitted_scene import FittedScene, Surface, generator
+from reconstruction.fitted_scene import FittedScene, generator
 from reconstruction.pictures.palette import paint
 from reconstruction.result import ObjectField, OtherObstacles, ReconstructedObject, Reconstruction
 from reconstruction.surface.field import Field, overlap, window_of, within
-from reconstruction.warm_start import Before
+from reconstruction.warm_start import Before, Surface
 
 STAGES = {
     "observation": "observe",
@@ -80,10 +81,26 @@ def update(
         if not any("contradicts" in note for note in joint.notes):
             raise FrameError("; ".join(joint.notes) or f"{frame.source}: shows no object to map")
         return replace(result, notes=tuple(dict.fromkeys([*result.notes, *joint.notes])))
-    before = Before(result.map, result.map_labels)
+    numbers = {view.number for view in known}
+    new = [view.observation for view in joint.views if view.number not in numbers]
+    before = Before(result.map, result.map_labels, _untouched(result, new, config))
     scene = FittedScene(result.frame, config, generator(result.seed), result.seed, given=joint, before=before)
     updated = _clocked(scene)
     return replace(updated, notes=tuple(dict.fromkeys([*result.notes, *updated.notes])))
+
+
+def _untouched(
+    result: Reconstruction, new: Sequence[Observation], config: PipelineConfig
+) -> dict[int, Surface]:
+    """Surfaces, in the table frame, of objects that new views neither see nor look past: they stay."""
+    T_table_world = invert_rigid(result.T_world_table)
+    kept = {}
+    for item in result.objects:
+        vertices = transform(T_table_world, np.asarray(item.mesh.vertices))
+        if not any(touches(view, item.label, vertices, config.perception) for view in new):
+            mesh = trimesh.Trimesh(vertices, item.mesh.faces, process=False)
+            kept[item.label] = Surface(mesh, item.uncertainty)
+    return kept
 
 
 def _first_view(frame: Frame, observation: Observation) -> View:

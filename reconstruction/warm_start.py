@@ -1,14 +1,16 @@
-"""Weights to start a fit from: those of an earlier map of the same scene, where it had the same hinge points.
+"""What a map of one view more starts from: the weights of the earlier map of the same scene, where it had the
+same hinge points, and the surfaces that stay.
 
 Knows maps and training sets in one table frame; knows nothing of views.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
+import trimesh
 from scipy.spatial import cKDTree
 
 from mapping.contramap import ContraMap
@@ -20,11 +22,21 @@ SAME = 1e-4
 
 
 @dataclass(frozen=True)
+class Surface:
+    """One object's closed surface in the table frame. uncertainty: (V,) float32 p(uncertain) at vertices."""
+
+    mesh: trimesh.Trimesh
+    uncertainty: np.ndarray
+
+
+@dataclass(frozen=True)
 class Before:
-    """A map that was fitted before. labels: of its columns, as Reconstruction.map_labels."""
+    """A map that was fitted before. labels: of its columns, as Reconstruction.map_labels. kept: surfaces by
+    label that stay as they are."""
 
     map: ContraMap
     labels: tuple[int, ...]
+    kept: Mapping[int, Surface] = field(default_factory=dict)
 
     def weights(self, training: TrainingSet, labels: Sequence[int]) -> np.ndarray:
         """(H, C+1) float32: the earlier weights of each hinge point and class; 0 for new ones.

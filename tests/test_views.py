@@ -261,6 +261,20 @@ def test_an_update_knows_which_object_is_which() -> None:
     assert (joint.views[1].frame.labels == views(2)[1].labels).mean() > 0.99
 
 
+def test_an_object_that_a_view_does_not_show_keeps_its_mesh() -> None:
+    first = mapped(0)
+    near = (0.10, 0.12, 0.10)  # the large box, and little else
+    frame = make_tabletop(eye=(-0.02, -0.04, 0.3), target=near, size=(96, 72)).frame
+    labels = frame.labels
+    assert labels is not None
+    far = next(item for item in first if item.label not in np.unique(labels))
+    updated = first.update(frame)
+    np.testing.assert_allclose(updated[far.label].mesh.vertices, far.mesh.vertices, atol=1e-9)
+    np.testing.assert_array_equal(updated[far.label].mesh.faces, far.mesh.faces)
+    assert len(updated[1].mesh.vertices) != len(first[1].mesh.vertices)
+    assert len(updated.objects) == len(first.objects)
+
+
 def test_many_views_are_kept_to_the_most_different() -> None:
     joint = observe_together([views(2)[0], views(2)[1], shifted(views(2)[1], 0.004, 0.0, 0.0)], ordered=True)
     assert len(joint.views) == 3
