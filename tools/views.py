@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -53,7 +54,7 @@ def main(
         limit: Scenes judged, at most.
         ycb: Folder of YCB scans, for scenes made of them.
         out: Also write the table to this Markdown file.
-        json: Also write the figures to this file after each scene; scenes that it has are not judged again.
+        json: Also write the figures to this file after each line; those that it has are not judged again.
     """
     from tqdm import tqdm
 
@@ -71,40 +72,78 @@ def main(
         raise ConfigError(
             f"{scenes}: no scenes here; `contramap scenes {scenes} --views {max(views)}` makes some"
         )
-    asked = {"views": [*views], "methods": [*methods], "wrong": wrong, "pose_noise": [*pose_noise]}
-    rows = _judged_before(json, asked)
-    done = {row["folder"] for row in rows}
-    todo = [folder for folder in folders if str(folder.resolve()) not in done]
-    for folder in tqdm(todo, desc="scenes"):
-        scene = load_scene(folder, max(views), ycb)
-        found = [
-            {"method": method, "views": str(count), **row}
-            for method in methods
-            for count in sorted(views)
-            for row in judge(scene, method, scene.frames[:count])
-        ]
-        if wrong and max(views) > 2:
-            found += wrong_pose(scene, wrong)
-        for size in pose_noise:
-            found += noisy_poses(scene, size)
-        rows += [{**row, "folder": str(folder.resolve())} for row in found]
-        write_json({"asked": asked, "rows": rows}, json)
+    rows = _judged_before(json)
+    done = {(row["folder"], row["method"], row["views"]) for row in rows}
+    progress = tqdm(folders, desc="scenes")
+    asked = _asked(views, methods, wrong, pose_noise)
+    for folder in progress:
+        place = str(folder.resolve())
+        todo = [key for key in asked if (place, *key) not in done]
+        scene = load_scene(folder, max(views), ycb) if todo else None
+        for key in todo:
+            assert scene is not None
+            progress.set_postfix_str(" ".join(key))
+            frames = frames_of(scene, key[1])
+            found = judge(replace(scene, frames=frames), key[0])
+            rows += [{"folder": place, "method": key[0], "views": key[1], **row} for row in found]
+            write_json({"rows": rows}, json)
+    wanted = {str(folder.resolve()) for folder in folders}
+    rows = [row for row in rows if row["folder"] in wanted and (row["method"], row["views"]) in asked]
+    rows.sort(key=lambda row: asked.index((row["method"], row["views"])))
     text = table(rows, len({row["folder"] for row in rows}))
     print(text)
     if out is not None:
-        write_atomically(out, (HEAD.format(wrong=1e3 * wrong) + text).encode())
+        write_atomically(out, (HEAD + text).encode())
 
 
-def _judged_before(path: Path | None, asked: dict[str, Any]) -> list[dict[str, Any]]:
-    """Rows of an earlier run of the same kind; ConfigError when the file is of another."""
+def _judged_before(path: Path | None) -> list[dict[str, Any]]:
+    """Rows that an earlier run has written."""
     from mapping.guarded_files import read_json
 
     if path is None or not path.is_file():
         return []
     content = read_json(path)
-    if not isinstance(content, dict) or content.get("asked") != asked:
-        raise ConfigError(f"{path}: holds figures of other --views, --methods or errors; name another file")
+    if not isinstance(content, dict) or not isinstance(content.get("rows"), list):
+        raise ConfigError(f"{path}: holds no figures of this command; name another file")
     return list(content["rows"])
+
+
+WITHOUT, OFF = "(without view 2)", "mm off"
+"""How the names of lines end that do not simply take the first views."""
+
+
+def _asked(
+    views: Sequence[int], methods: Sequence[str], wrong: float, pose_noise: Sequence[float]
+) -> list[tuple[str, str]]:
+    """Method and name of the views of each line of the table."""
+    most = max(views)
+    asked = [(method, str(count)) for method in methods for count in sorted(views)]
+    if wrong and most > 2:
+        asked += [
+            ("contramap", f"{most - 1} {WITHOUT}"),
+            ("contramap", f"{most}, view 2 {1e3 * wrong:g} {OFF}"),
+        ]
+    return asked + [("contramap", f"{most}, all to {1e3 * size:g} {OFF}") for size in pose_noise]
+
+
+def frames_of(scene: ManyViews, name: str) -> list[Frame]:
+    """The views of a line, by its name."""
+    first, *others = scene.frames
+    if name.isdigit():
+        return scene.frames[: int(name)]
+    if name.endswith(WITHOUT):
+        return [first, *others[1:]]
+    size, rng = float(name.split()[-3]) / 1e3, np.random.default_rng(len(scene.name))
+    if " all " in name:
+        turn = DEGREES_A_METRE * size
+        return [
+            first,
+            *(posed(one, noisy_pose(one.camera.T_world_camera, size, turn, rng)) for one in others),
+        ]
+    direction = rng.standard_normal(3)
+    T = others[0].camera.T_world_camera.copy()
+    T[:3, 3] += size * direction / np.linalg.norm(direction)
+    return [first, *others[1:], posed(others[0], T)]
 
 
 def load_scene(folder: Path, count: int, ycb: Path | None = None) -> ManyViews:
@@ -124,7 +163,7 @@ def load_scene(folder: Path, count: int, ycb: Path | None = None) -> ManyViews:
     return ManyViews(folder.name, frames, judged)
 
 
-def judge(scene: ManyViews, method: str, frames: Sequence[Frame]) -> list[dict[str, Any]]:
+def judge(scene: ManyViews, method: str) -> list[dict[str, Any]]:
     """One row of figures for each judged object; one that got no mesh has IoU and F-score 0."""
     from time import perf_counter
 
@@ -137,7 +176,7 @@ def judge(scene: ManyViews, method: str, frames: Sequence[Frame]) -> list[dict[s
     from reconstruction.surface.agreement import agreement_with_depth, together
 
     start = perf_counter()
-    answers, auroc = METHODS[method](scene, frames)
+    answers, auroc = METHODS[method](scene, scene.frames)
     seconds = perf_counter() - start
     rows = []
     for label, true in scene.solids.items():
@@ -162,7 +201,7 @@ def judge(scene: ManyViews, method: str, frames: Sequence[Frame]) -> list[dict[s
                     frame.camera,
                     invert_rigid(frame.camera.T_world_camera),
                 )[label]
-                for frame in scene.frames[: len(frames)]
+                for frame in scene.frames
                 if frame.labels is not None
             ]
             row |= {
@@ -174,39 +213,6 @@ def judge(scene: ManyViews, method: str, frames: Sequence[Frame]) -> list[dict[s
             }
         rows.append(row)
     return rows
-
-
-def wrong_pose(scene: ManyViews, shift: float) -> list[dict[str, Any]]:
-    """Rows for all views with the second one's pose wrong by `shift` [m], and for all but that one."""
-    rng = np.random.default_rng(len(scene.name))
-    direction = rng.standard_normal(3)
-    frame = scene.frames[1]
-    T = frame.camera.T_world_camera.copy()
-    T[:3, 3] += shift * direction / np.linalg.norm(direction)
-    moved = posed(frame, T)
-    others = [scene.frames[0], *scene.frames[2:]]
-    count = len(scene.frames)
-    kept = ManyViews(scene.name, others, scene.solids)
-    return [
-        {"method": "contramap", "views": name, **row}
-        for name, frames in (
-            (f"{count - 1} (without view 2)", others),
-            (f"{count}, view 2 wrong", [*others, moved]),
-        )
-        for row in judge(kept, "contramap", frames)
-    ]
-
-
-def noisy_poses(scene: ManyViews, size: float) -> list[dict[str, Any]]:
-    """Rows for all views, the poses of all but the first wrong by up to `size` [m]."""
-    rng = np.random.default_rng(len(scene.name))
-    moved = [
-        posed(frame, noisy_pose(frame.camera.T_world_camera, size, DEGREES_A_METRE * size, rng))
-        for frame in scene.frames[1:]
-    ]
-    kept = ManyViews(scene.name, [scene.frames[0], *moved], scene.solids)
-    name = f"{len(scene.frames)}, poses to {1e3 * size:g} mm, {DEGREES_A_METRE * size:g} deg"
-    return [{"method": "contramap", "views": name, **row} for row in judge(kept, "contramap", kept.frames)]
 
 
 def posed(frame: Frame, T: np.ndarray) -> Frame:
@@ -221,8 +227,9 @@ HEAD = """# Several views
 `python -m tools.views SCENES --out docs/results/views.md`: means over the objects that show at least 200
 pixels in the first view. Chamfer and F-score on 10,000 samples, IoU on a 2.5 mm grid, agreement within 3 mm
 over the views used, uncertainty: mean p(uncertain) at vertices, occlusion_auroc: how well p(uncertain) tells
-space that no view has seen from the rest, seconds a scene. "wrong": the pose of view 2 is off by
-{wrong:.0f} mm. "poses to": every view but the first is said to be elsewhere, by up to so much each.
+space that no view has seen from the rest, seconds a scene. "view 2 ... off": its pose is wrong by so much;
+"all to ... off": every view but the first is said to be elsewhere, by up to so much each, and turned by up
+to 0.2 degrees a millimetre.
 
 """
 
