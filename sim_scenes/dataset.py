@@ -131,7 +131,8 @@ def _misstate_poses(
     for view in views:
         path = folder / view / "camera.json"
         content = json.loads(path.read_text())
-        wrong = noisy_pose(np.array(content["T_world_camera"]), *settings["pose_noise"], rng)
+        shift, turn = settings["pose_noise"]
+        wrong = noisy_pose(np.array(content["T_world_camera"]), shift, turn, rng)
         path.write_text(json.dumps({**content, "T_world_camera": wrong.tolist()}, indent=1) + "\n")
 
 
