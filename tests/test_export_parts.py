@@ -95,8 +95,8 @@ def test_a_centre_of_mass_outside_of_its_ground_is_moved_over_it_and_no_other():
     assert balanced(inside, square) is not None
     assert np.array_equal(balanced(inside, square), inside)
     moved = balanced(np.array([0.105, 0.05, 0.03]), square)
-    assert moved == pytest.approx([0.05 + 0.8 * 0.05, 0.05, 0.03])
-    far = np.array([0.3, 0.05, 0.03])
+    assert moved == pytest.approx([0.05 + 0.5 * 0.05, 0.05, 0.03])
+    far = np.array([0.15, 0.05, 0.03])
     assert np.array_equal(balanced(far, square), far)
     assert np.array_equal(balanced(far, square[:2]), far)  # on an edge: no ground
 

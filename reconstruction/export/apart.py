@@ -6,7 +6,7 @@ convex meshes in one frame; knows nothing of formats.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import trimesh
@@ -35,17 +35,25 @@ def kept_apart(objects: Mapping[int, Parts]) -> dict[int, Parts]:
 
 def _separate(first: list, second: list) -> None:
     """Cut the parts of two objects where they overlap, in place; what is lost whole becomes None."""
-    for i in range(len(first)):
-        for j in range(len(second)):
-            if first[i] is None or second[j] is None:
-                continue
-            plane = overlap(first[i], second[j])
-            if plane is None:
-                continue
-            normal, low, high = plane
-            middle = (low + high) / 2
-            first[i] = below(first[i], normal, middle - GAP / 2)
-            second[j] = below(second[j], -normal, -middle - GAP / 2)
+    # Hundreds of parts each: only pairs whose boxes meet are looked at, and cutting makes boxes no larger.
+    one, two = boxes(first), boxes(second)
+    meet = ((one[:, None, 0] < two[:, 1] + GAP) & (two[:, 0] < one[:, None, 1] + GAP)).all(-1)
+    for i, j in np.argwhere(meet):
+        if first[i] is None or second[j] is None:
+            continue
+        plane = overlap(first[i], second[j])
+        if plane is None:
+            continue
+        normal, low, high = plane
+        middle = (low + high) / 2
+        first[i] = below(first[i], normal, middle - GAP / 2)
+        second[j] = below(second[j], -normal, -middle - GAP / 2)
+
+
+def boxes(parts: Sequence[trimesh.Trimesh | None]) -> np.ndarray:
+    """(N, 2, 3) [m]: corners low, high of each part; those of a lost one hold nothing."""
+    nothing = np.array([[np.inf] * 3, [-np.inf] * 3])
+    return np.array([nothing if part is None else part.bounds for part in parts]).reshape(-1, 2, 3)
 
 
 def overlap(first: trimesh.Trimesh, second: trimesh.Trimesh) -> tuple[np.ndarray, float, float] | None:

@@ -12,27 +12,33 @@ import numpy as np
 
 from reconstruction.export.apart import Parts
 
+FOOT = 0.0005
+"""What is this near to the support stands on it [m]: feet were made flat."""
 TOUCHES = 0.004
-"""Parts this near to the support or to another object are taken to rest on it [m]."""
-WITHIN = 0.8
+"""Parts this near to another object are taken to rest on it [m]."""
+WITHIN = 0.5
 """The centre of mass lies within this share of the way from the middle of the ground covered to its rim."""
 FARTHEST = 0.03
 """A centre of mass is moved no further than this [m]: then something else is wrong."""
 
 
 def resting_points(label: int, objects: Mapping[int, Parts], support: float, below: float) -> np.ndarray:
-    """Places (N, 3) [m] lower than z = `below` where an object touches the plane z = `support` or another.
+    """Places (N, 3) [m] where an object stands on the plane z = `support`; if it does not, where it touches
+    another, lower than z = `below`.
 
     objects: label -> convex parts in a frame with z up. Places are corners of either's parts.
     """
     own = objects[label]
     corners = np.concatenate([np.asarray(part.vertices) for part in own])
-    found = [corners[corners[:, 2] < support + TOUCHES]]
+    foot = corners[corners[:, 2] < support + FOOT]
+    if len(foot):
+        return foot
+    found = []
     for other, parts in objects.items():
         if other != label:
             theirs = np.concatenate([np.asarray(part.vertices) for part in parts])
             found += [corners[_near(corners, parts)], theirs[_near(theirs, own)]]
-    together = np.concatenate(found)
+    together = np.concatenate(found) if found else corners[:0]
     return together[together[:, 2] < below]
 
 
