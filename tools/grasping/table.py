@@ -38,7 +38,7 @@ def _parts(conditions: dict[str, Any], key: str) -> str:
     rows = [["condition", *names]]
     for name, item in conditions.items():
         cells = [item[key].get(part) for part in names]
-        rows.append([name, *("" if c is None else f"{_rate(c)}, n = {c['attempts']}" for c in cells)])
+        rows.append([name, *(f"{_rate(c)}, n = {c['attempts']}" if c and c["attempts"] else "" for c in cells)])
     return markdown_table(rows)
 
 
