@@ -38,8 +38,12 @@ def _parts(conditions: dict[str, Any], key: str) -> str:
     rows = [["condition", *names]]
     for name, item in conditions.items():
         cells = [item[key].get(part) for part in names]
-        rows.append([name, *(f"{_rate(c)}, n = {c['attempts']}" if c and c["attempts"] else "" for c in cells)])
+        rows.append([name, *(_counted(cell) if cell and cell["attempts"] else "" for cell in cells)])
     return markdown_table(rows)
+
+
+def _counted(cell: dict[str, Any]) -> str:
+    return f"{_rate(cell)}, n = {cell['attempts']}"
 
 
 def _differences(differences: dict[str, Any]) -> str:
