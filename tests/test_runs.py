@@ -147,6 +147,15 @@ def take_over_and_be_ended() -> None:
     time.sleep(5)  # until the handler is called
 
 
+def be_ended_and_fail() -> None:
+    """What compiled code makes of an exception that a handler raised in it."""
+    try:
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(5)
+    except Stopped:
+        raise RuntimeError("system error") from None
+
+
 def test_a_library_that_takes_signals_over_takes_none_away() -> None:
     """Ray's handler is there while Ray starts, and ends the process in its own way."""
     before = signal.getsignal(signal.SIGTERM)
@@ -159,6 +168,8 @@ def test_a_library_that_takes_signals_over_takes_none_away() -> None:
             assert signal.getsignal(signal.SIGTERM) is ours
             with pytest.raises(Stopped, match="SIGTERM"), handlers_kept():
                 take_over_and_be_ended()
+        with pytest.raises(Stopped, match="SIGTERM"), stopped_by_signals():
+            be_ended_and_fail()
     finally:
         signal.signal(signal.SIGTERM, before)
 

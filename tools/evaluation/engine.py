@@ -45,7 +45,9 @@ def run_ray(jobs: Sequence[Job], workers: int, finished: Finished, address: str 
 
     Scenes and results must lie where every node can reach them. Raises ConfigError without ray.
     """
-    threads = jobs[0].threads if jobs else 1
+    if not jobs:
+        return  # a cluster takes seconds to start
+    threads = jobs[0].threads
     with ray_cluster(workers, address) as ray:
         environment = {"env_vars": worker_environment(threads)}
         remote = ray.remote(num_cpus=1, max_retries=0, runtime_env=environment)(run_job)

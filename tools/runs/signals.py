@@ -47,23 +47,30 @@ def handlers_kept() -> Iterator[None]:
 def stopped_by_signals() -> Iterator[None]:
     """SIGTERM and SIGHUP raise Stopped inside, once, so that `finally` clauses run.
 
-    Signals that are ignored (nohup) or handled otherwise stay so.
+    It leaves as Stopped, whatever error a library makes of it on the way. Signals that are ignored (nohup) or
+    handled otherwise stay so.
     """
     known = [getattr(signal, name) for name in NAMES if hasattr(signal, name)]
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     ours = [number for number in known if signal.getsignal(number) is signal.SIG_DFL]
+    asked: list[int] = []
 
     def stop(number: int, frame: Any) -> None:
         for each in ours:
             signal.signal(each, signal.SIG_IGN)  # a second one must not cut the clean-up short
+        asked.append(number)
         raise Stopped(number)
 
     for number in ours:
         signal.signal(number, stop)
     try:
         yield
+    except Exception as error:
+        if asked:
+            raise Stopped(asked[0]) from error
+        raise
     finally:
         for number in ours:
             signal.signal(number, signal.SIG_DFL)
