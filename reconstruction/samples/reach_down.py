@@ -63,7 +63,7 @@ def _foot_is_behind_others(item: ObservedObject, observation: Observation, space
     """Whether nearly all places straight under the end of what is seen of an object are hidden by others that
     stand well before it."""
     assert observation.seen is not None
-    end = item.points[item.points[:, 2] < item.bounds[0][2] + END]
+    end = item.outline[item.outline[:, 2] < item.bounds[0][2] + END]
     steps = np.linspace(0, 1, PROBES, endpoint=False, dtype=np.float32) + np.float32(0.5 / PROBES)
     under = np.repeat(end[:: 1 + len(end) // PROBED], PROBES, axis=0)
     under[:, 2] = np.resize(item.floor + steps * np.float32(item.bounds[0][2] - item.floor), len(under))
@@ -111,15 +111,12 @@ def reach_down(
         there = _under_plan(item, space, points[rows])
     else:
         there = _under_end(observation, space, index, points[rows])
-    stands = (
-        guess[rows, own][ground[rows] & (there > STANDING)] > STANDING
-        if above
-        else guess[ground, own] > STANDING
-    )
-    if stands.mean() >= STANDS_ON if above and len(stands) else stands.any():
+    foot = ground[rows] & (there > STANDING)
+    # Seen from above, a handle may touch the support though the bulk of the object was not seen to.
+    asked, share = (rows[foot], STANDS_ON) if above else (np.flatnonzero(ground), 0.0)
+    if (guess[asked, own] > STANDING).sum() > share * len(asked):
         return
     others = guess[rows].sum(1) - guess[rows, 0] - guess[rows, own]
-    foot = ground[rows] & (there > STANDING)
     if foot.any() and (others[foot] > STANDING).mean() > COVERED:
         return  # something else stands where it would: it lies on that
     share = np.maximum(guess[rows, own], REACH_DOWN * there * (1 - others))
