@@ -97,6 +97,7 @@ def main(
     written_by += [provenance()] if scenes else []
     for folder in tqdm(folders[first : first + limit], desc="scenes", disable=not folders):
         rows += judge(load_scene(folder, ycb), cuts, np.random.default_rng([seed, *folder.name.encode()]))
+        write_json({"written_by": written_by, "rows": rows}, json)  # what is finished is kept
     text = markdown(rows, written_by)
     print(text)
     write_json({"written_by": written_by, "rows": rows}, json)
