@@ -21,6 +21,9 @@ MIDDLE_POINTS = 400
 REST_GAP = 0.04
 """What is seen of a thing ends within this height above what it lies on: balls hide where they touch it
 [m]."""
+FULL = 0.6
+"""A top fills this share of its hull around what lies on it: what stands between the arms of a thing does
+not."""
 INSIDE = 0.015
 """The middle of what lies on a top is this far within its hull in plan [m]: what stands close behind a box is
 not."""
@@ -89,4 +92,6 @@ def _lies_on(item: ObservedObject, middle: np.ndarray, height: float, cells: np.
     if len(near) < LEAST_CELLS:
         return False
     hull = cv2.convexHull(near.astype(np.float32))
+    if len(near) * CELL**2 < FULL * cv2.contourArea(hull):
+        return False
     return bool(cv2.pointPolygonTest(hull, (float(middle[0]), float(middle[1])), True) > INSIDE)
