@@ -150,6 +150,8 @@ class FusionConfig(Checked):
     """Cells near the surface are divided by this along each axis."""
     wall: Length = 0.004
     """What was seen is at least this thick, unless free space shows it to be thinner [m]."""
+    round_bodies: bool = True
+    """What is seen of cups, bowls, cans and balls is turned about their vertical axis where it is hidden."""
     unseen_walls: bool = True
     """Tunnels through an object that no ray passed are closed, where the map thinks a wall likeliest."""
 

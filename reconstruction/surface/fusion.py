@@ -20,6 +20,7 @@ from reconstruction.surface.neighbours import (
     spread,
     upsample,
 )
+from reconstruction.surface.revolved import RevolvedEdges
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
 from reconstruction.surface.seen_surface import Edges
 
@@ -39,7 +40,7 @@ def fuse(
     log_odds: np.ndarray,
     corner: np.ndarray,
     spacing: float,
-    edges: Edges | JointEdges,
+    edges: Edges | JointEdges | RevolvedEdges,
     points: np.ndarray,
     config: FusionConfig,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -92,7 +93,7 @@ def _read(
     shape: tuple[int, ...],
     corner: np.ndarray,
     spacing: float,
-    edges: Edges | JointEdges,
+    edges: Edges | JointEdges | RevolvedEdges,
     config: FusionConfig,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """At flat nodes (M,) of a lattice: log odds (M,) raised by what was seen, the cap, and who nobody saw."""

@@ -11,6 +11,7 @@ from reconstruction.surface.field import OUTSIDE, Field, extent
 from reconstruction.surface.fusion import fuse
 from reconstruction.surface.joint_surface import JointSurface
 from reconstruction.surface.parts import label, parts_to_keep
+from reconstruction.surface.revolved import RevolvedEdges
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
 from reconstruction.surface.seen_surface import SeenSurface
 from reconstruction.surface.unseen_walls import has_tunnel, with_unseen_walls
@@ -45,7 +46,8 @@ def extract_mesh(
     spacing, start, edges = field.spacing, np.zeros(3), None
     if surface is not None and seen is not None and min(log_odds.shape) > 1:
         edges = surface.edges(index)
-        log_odds, start = fuse(log_odds, corner, spacing, edges, seen, config.fusion)
+        known = config.fusion.round_bodies and RevolvedEdges.of(edges, seen, config.fusion.wall)
+        log_odds, start = fuse(log_odds, corner, spacing, known or edges, seen, config.fusion)
         spacing /= config.fusion.refine
     elif seen is not None and config.keep_seen:
         log_odds = log_odds.copy()

@@ -31,7 +31,7 @@ HELD = 0.3
 """Log odds that hold a wall together where smoothing would open it."""
 SMOOTH = 1.0
 """Standard deviation of the smoothing of new walls [nodes]."""
-MOST_HIDDEN = 60_000
+MOST_HIDDEN = 150_000
 """Objects with more hidden nodes keep their tunnels: the time grows with these nodes, and what has so many at
 2.5 mm (a skillet, a pot) would take as long as the other objects of a scene."""
 FEW = 16

@@ -1,0 +1,225 @@
+"""What is seen of a body of revolution, turned about its axis: a bowl's hidden side is like the one in view.
+
+Cups, bowls, cans, bottles and balls are round, and half of each is hidden. Where circles about one vertical
+axis go through what was measured, and no ray passed through these circles elsewhere, the circles are taken to
+be its surface all round, and what rays passed at one place to be empty all round. A handle is off the circles
+and stays as it was seen.
+
+Knows one object's measured points and readings of its depth image; knows nothing of maps, lattices or meshes.
+Points are in the table frame: its z axis is vertical.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from reconstruction.surface.joint_surface import JointEdges
+from reconstruction.surface.reading import Reading
+from reconstruction.surface.seen_surface import Edges
+from reconstruction.surface.vertical_axis import vertical_axis
+
+POINTS = 1500
+"""About as many measured points are looked at."""
+ANGLES = 24
+"""Places around the axis at which rays are asked."""
+PASSED, PASSED_BY = 0.004, 0.04
+"""A ray has passed through a place that lies this far before what it measured [m], or this share of the
+place's radius: nobody knows the axis better."""
+PASSED_SHARE = 0.1
+"""Circles through which more than this share of the rays passed are not the body's."""
+ROUND_SHARE = 0.75
+"""At least this share of the measured points is on the body's circles."""
+LEAST_ARC = 0.25
+"""They are seen from all over at least this share of a turn."""
+CELL = 0.002
+"""Cells of the half plane of radius and height [m]."""
+COARSE = 3
+"""Rays are asked at one cell in so many along radius and height."""
+BEYOND = 0.015
+"""The half plane reaches this far beyond the measured points [m]."""
+NEAR, BESIDE = 0.006, 0.003
+"""The profile is known within this distance across it, and beyond its ends [m]; twice as far beyond them where
+no ray passed."""
+EMPTY, UNKNOWN = np.float32(-0.008), np.float32(0.02)
+"""Depths [m] where rays passed, and where nothing is known."""
+NEIGHBOURS = 12
+"""So many measured points nearby say how deep a place is."""
+FLOOR = 0.7
+"""Normals that point down more than this belong to the inside: a bowl's floor."""
+THINNEST = 0.0045
+"""A wall of which both sides are known is at least so thick [m]: less falls between the nodes of a lattice."""
+SLIT = 3
+"""Gaps of fewer cells in the table are closed."""
+HANDLE = 0.015
+"""What is seen off the circles may be this thick [m]."""
+
+
+@dataclass(frozen=True)
+class RevolvedEdges:
+    """The edges of a body of revolution: they say more of what is hidden.
+
+    edges: what was measured; axis: (2,) where the axis stands [m]; height: of the table's first row [m];
+    depth: (R, Z) float32, how far places at each radius and height lie behind the surface [m], negative where
+    it is empty, UNKNOWN or so where nothing is known; circles: (M, 3) points of the surface all round; wall: what is measured
+    is at least so thick [m].
+    """
+
+    edges: Edges | JointEdges
+    axis: np.ndarray
+    height: float
+    depth: np.ndarray
+    circles: np.ndarray
+    wall: float
+
+    @classmethod
+    def of(cls, edges: Edges | JointEdges, points: np.ndarray, wall: float) -> RevolvedEdges | None:
+        """The same for points (N, 3) float32 measured of an object; None where it is no body of revolution.
+
+        wall: the surface is so thick at least [m].
+        """
+        points = np.ascontiguousarray(points[:: 1 + len(points) // POINTS], np.float32)
+        normals = _normals(edges, points)
+        shown = normals.any(1)
+        points, normals = points[shown], normals[shown]
+        axis = vertical_axis(points, normals)
+        if axis is None:
+            return None
+        offset = points[:, :2] - axis
+        radius = np.hypot(*offset.T)
+        turned = _around(axis, radius, points[:, 2])
+        own = _passed(edges, turned, radius) <= PASSED_SHARE
+        arc = np.unique((np.arctan2(*offset[own].T) * (ANGLES / 2 / np.pi)).astype(int))
+        if own.mean() < ROUND_SHARE or len(arc) < LEAST_ARC * ANGLES:
+            return None
+        away = offset[own] / np.maximum(radius[own], 1e-6)[:, None]
+        inwards = np.stack([(normals[own, :2] * away).sum(1), normals[own, 2]], 1)
+        profile = np.stack([radius[own], points[own, 2]], 1)
+        low = float(points[:, 2].min()) - BEYOND
+        shape = np.ceil(
+            np.array([radius.max() + BEYOND, points[:, 2].max() + BEYOND - low]) / (CELL * COARSE)
+        )
+        empty = _empty(edges, axis, low, shape.astype(int))
+        depth = _depths(profile, inwards, low, empty)
+        return cls(edges, axis, low, depth, turned[own].reshape(-1, 3), wall)
+
+    def read(self, points: np.ndarray) -> Reading:
+        """What the depth image says of points (N, 3) float32 [m], or the circles where it says nothing."""
+        reading = self.edges.read(points)
+        hidden = (reading.distance > 0) & (reading.depth > self.wall) & (reading.others > self.wall)
+        rows = np.flatnonzero(hidden)
+        depth = self.depth_of(points[rows])
+        known = depth < NEAR
+        rows, depth = rows[known], depth[known]
+        behind = reading.depth[rows]
+        # What lies close behind a handle is the handle.
+        close = np.flatnonzero((depth < 0) & (behind < HANDLE))
+        if len(close):
+            near = rows[close]
+            surface = self._shown(points[near], behind[close])
+            off = close[np.abs(self.depth_of(surface)) > NEAR]
+            keep = np.ones(len(rows), bool)
+            keep[off] = False
+            rows, depth, behind = rows[keep], depth[keep], behind[keep]
+        reading.distance[rows] = np.minimum(reading.distance[rows], depth)
+        reading.depth[rows] = np.where(depth >= 0, np.minimum(behind, depth), behind)
+        return reading
+
+    def behind(self, points: np.ndarray, distance: float) -> np.ndarray:
+        """Points (M, 3) that the object reaches to: its circles, and points (N, 3) moved by `distance` [m]
+        away from the camera."""
+        return np.concatenate([self.edges.behind(points, distance), self.circles])
+
+    def above_floor(self, height: np.ndarray) -> np.ndarray:
+        """How far heights (N,) are above the floor [m], FAR where none is known."""
+        return self.edges.above_floor(height)
+
+    def depth_of(self, points: np.ndarray) -> np.ndarray:
+        """How deep points (N, 3) lie in the body (N,) float32 [m], as in the table."""
+        radius = np.hypot(points[:, 0] - np.float32(self.axis[0]), points[:, 1] - np.float32(self.axis[1]))
+        places = np.stack([radius, points[:, 2] - np.float32(self.height)]) / np.float32(CELL)
+        return ndimage.map_coordinates(self.depth, places, order=1, cval=float(UNKNOWN))
+
+    def _shown(self, points: np.ndarray, behind: np.ndarray) -> np.ndarray:
+        """Where the surface is that points (N, 3) lie `behind` (N,) [m], seen from the camera."""
+        views = self.edges.views if isinstance(self.edges, JointEdges) else (self.edges,)
+        T = views[0].seen.T_camera_table
+        rays = points - (-T[:3, :3].T @ T[:3, 3]).astype(np.float32)
+        rays /= np.sqrt((rays**2).sum(1, keepdims=True))
+        return points - rays * behind[:, None]
+
+
+def _normals(edges: Edges | JointEdges, points: np.ndarray) -> np.ndarray:
+    """Normals (N, 3) into the object at points (N, 3) measured of it, 0 where no view shows one there."""
+    if isinstance(edges, Edges):
+        return edges.facing(points)[0]
+    normals = np.zeros_like(points)
+    least = np.full(len(points), np.inf, np.float32)
+    for view in edges.views:
+        found, behind = view.facing(points)
+        better = found.any(1) & (np.abs(behind) < least)
+        normals[better], least[better] = found[better], np.abs(behind[better])
+    return normals
+
+
+def _around(axis: np.ndarray, radius: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """Points (N, ANGLES, 3) float32 at radii and heights (N,) [m], all around the axis."""
+    angle = (np.arange(ANGLES) + 0.5) * (2 * np.pi / ANGLES)
+    points = np.empty((len(radius), ANGLES, 3), np.float32)
+    points[..., 0] = axis[0] + radius[:, None] * np.cos(angle)
+    points[..., 1] = axis[1] + radius[:, None] * np.sin(angle)
+    points[..., 2] = height[:, None]
+    return points
+
+
+def _passed(edges: Edges | JointEdges, around: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Share (N,) of places (N, ANGLES, 3) on circles of a radius (N,) [m] that rays passed through."""
+    before = -edges.read(around.reshape(-1, 3)).distance.reshape(around.shape[:2])
+    return (before > np.maximum(PASSED, PASSED_BY * radius)[:, None]).mean(1)
+
+
+def _empty(edges: Edges | JointEdges, axis: np.ndarray, low: float, shape: np.ndarray) -> np.ndarray:
+    """Cells (R, Z) of the half plane, from a height on, that are empty all round; shape: of coarse cells."""
+    radius, height = ((np.arange(n) + 0.5) * COARSE * CELL for n in shape)
+    places = np.stack(np.meshgrid(radius, low + height, indexing="ij"), -1).reshape(-1, 2)
+    passed = _passed(edges, _around(axis, *places.T), places[:, 0]) > PASSED_SHARE
+    return passed.reshape(shape).repeat(COARSE, 0).repeat(COARSE, 1)
+
+
+def _depths(profile: np.ndarray, inwards: np.ndarray, low: float, empty: np.ndarray) -> np.ndarray:
+    """The table of `RevolvedEdges` from a profile (M, 2) of radii and heights [m], its normals (M, 2) and what
+    is empty (R, Z)."""
+    places = np.stack(np.meshgrid(*(np.arange(n) * CELL for n in empty.shape), indexing="ij"), -1)
+    places[..., 1] += low
+    beyond = np.where(empty, BESIDE, 2 * BESIDE)
+    outer = (inwards[:, 0] < 0) & (inwards[:, 1] > -FLOOR)
+    one, other = (_depth_behind(profile[side], inwards[side], places, beyond) for side in (outer, ~outer))
+    # A wall's two sides are known to a millimetre or two, and some walls are no thicker.
+    lacking = np.maximum(THINNEST - (one + other), 0) / 2
+    both = np.isfinite(one) & np.isfinite(other)
+    depth = np.where(both, np.minimum(one, other) + lacking, np.maximum(one, other))
+    depth = np.where(np.isfinite(depth), depth, np.where(empty, EMPTY, UNKNOWN)).astype(np.float32)
+    return ndimage.grey_closing(depth, SLIT)
+
+
+def _depth_behind(
+    profile: np.ndarray, inwards: np.ndarray, places: np.ndarray, beyond: np.ndarray
+) -> np.ndarray:
+    """How far places (R, Z, 2) are behind the profile (M, 2) of one side of a wall (R, Z) [m], -inf where that
+    is not known: `beyond` (R, Z) [m] its ends."""
+    if not len(profile):
+        return np.full(beyond.shape, -np.inf)
+    count = min(NEIGHBOURS, len(profile))
+    found, nearest = cKDTree(profile).query(places, count, distance_upper_bound=2 * NEAR)
+    found, nearest = found.reshape(*beyond.shape, count), nearest.reshape(*beyond.shape, count)
+    within = np.isfinite(found)
+    nearest = np.where(within, nearest, 0)
+    deep = ((places[:, :, None] - profile[nearest]) * inwards[nearest]).sum(-1)
+    depth = np.where(within, deep, 0).sum(-1) / np.maximum(within.sum(-1), 1)
+    one = found[..., 0]
+    aside = np.sqrt(np.maximum(one**2 - depth**2, 0))
+    known = np.isfinite(one) & (aside < beyond) & (np.abs(depth) < NEAR)
+    return np.where(known, depth, -np.inf)
