@@ -42,8 +42,8 @@ COARSE = 3
 BEYOND = 0.015
 """The half plane reaches this far beyond the measured points [m]."""
 NEAR, BESIDE = 0.006, 0.003
-"""The profile is known within this distance across it, and beyond its ends [m]; twice as far beyond them where
-no ray passed."""
+"""The profile is known within this distance across it, and beyond its ends [m]; twice as far beyond where no
+ray passed."""
 EMPTY, UNKNOWN = np.float32(-0.008), np.float32(0.02)
 """Depths [m] where rays passed, and where nothing is known."""
 NEIGHBOURS = 12
@@ -51,7 +51,7 @@ NEIGHBOURS = 12
 FLOOR = 0.7
 """Normals that point down more than this belong to the inside: a bowl's floor."""
 THINNEST = 0.0045
-"""A wall of which both sides are known is at least so thick [m]: less falls between the nodes of a lattice."""
+"""A wall of which both sides are known is at least so thick [m]: less falls between a lattice's nodes."""
 SLIT = 3
 """Gaps of fewer cells in the table are closed."""
 HANDLE = 0.015
@@ -64,8 +64,8 @@ class RevolvedEdges:
 
     edges: what was measured; axis: (2,) where the axis stands [m]; height: of the table's first row [m];
     depth: (R, Z) float32, how far places at each radius and height lie behind the surface [m], negative where
-    it is empty, UNKNOWN or so where nothing is known; circles: (M, 3) points of the surface all round; wall: what is measured
-    is at least so thick [m].
+    it is empty, UNKNOWN or so where nothing is known; circles: (M, 3) points of the surface all round; wall:
+    what is measured is at least so thick [m].
     """
 
     edges: Edges | JointEdges
@@ -190,16 +190,16 @@ def _empty(edges: Edges | JointEdges, axis: np.ndarray, low: float, shape: np.nd
 
 
 def _depths(profile: np.ndarray, inwards: np.ndarray, low: float, empty: np.ndarray) -> np.ndarray:
-    """The table of `RevolvedEdges` from a profile (M, 2) of radii and heights [m], its normals (M, 2) and what
-    is empty (R, Z)."""
+    """The table of `RevolvedEdges` from a profile (M, 2) of radii and heights [m], its normals (M, 2) and
+    what is empty (R, Z)."""
     places = np.stack(np.meshgrid(*(np.arange(n) * CELL for n in empty.shape), indexing="ij"), -1)
     places[..., 1] += low
     beyond = np.where(empty, BESIDE, 2 * BESIDE)
     outer = (inwards[:, 0] < 0) & (inwards[:, 1] > -FLOOR)
     one, other = (_depth_behind(profile[side], inwards[side], places, beyond) for side in (outer, ~outer))
     # A wall's two sides are known to a millimetre or two, and some walls are no thicker.
-    lacking = np.maximum(THINNEST - (one + other), 0) / 2
     both = np.isfinite(one) & np.isfinite(other)
+    lacking = np.maximum(THINNEST - np.where(both, one + other, THINNEST), 0) / 2
     depth = np.where(both, np.minimum(one, other) + lacking, np.maximum(one, other))
     depth = np.where(np.isfinite(depth), depth, np.where(empty, EMPTY, UNKNOWN)).astype(np.float32)
     return ndimage.grey_closing(depth, SLIT)
@@ -208,8 +208,8 @@ def _depths(profile: np.ndarray, inwards: np.ndarray, low: float, empty: np.ndar
 def _depth_behind(
     profile: np.ndarray, inwards: np.ndarray, places: np.ndarray, beyond: np.ndarray
 ) -> np.ndarray:
-    """How far places (R, Z, 2) are behind the profile (M, 2) of one side of a wall (R, Z) [m], -inf where that
-    is not known: `beyond` (R, Z) [m] its ends."""
+    """How far places (R, Z, 2) are behind the profile (M, 2) of one side of a wall (R, Z) [m], -inf where
+    that is not known: `beyond` (R, Z) [m] its ends."""
     if not len(profile):
         return np.full(beyond.shape, -np.inf)
     count = min(NEIGHBOURS, len(profile))

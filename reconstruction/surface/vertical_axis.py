@@ -24,8 +24,8 @@ SPREAD = (0.001, 0.025)
 
 
 def vertical_axis(points: np.ndarray, normals: np.ndarray) -> np.ndarray | None:
-    """Where (2,) [m] the axis meets the plane z = 0; None where points (N, 3) [m] with unit normals (N, 3) are
-    not those of a body of revolution about a vertical axis."""
+    """Where (2,) [m] the axis meets the plane z = 0; None where points (N, 3) [m] with unit normals (N, 3)
+    are not those of a body of revolution about a vertical axis."""
     level = np.hypot(normals[:, 0], normals[:, 1])
     upright = level > UPRIGHT
     if np.count_nonzero(upright) < LEAST_POINTS:

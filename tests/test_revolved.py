@@ -1,0 +1,107 @@
+"""Bodies of revolution: which things are taken for one, and how well the hidden half is known."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from conftest import Shape, make_tabletop
+
+from perception.observing import observe
+from reconstruction.surface.revolved import RevolvedEdges
+from reconstruction.surface.seen_surface import SeenSurface
+from reconstruction.surface.vertical_axis import vertical_axis
+
+CAN = Shape("cylinder", (0.04, 0.12), (0.03, 0.02, 0.06))
+SOLIDS = {
+    "can": CAN,
+    "ball": Shape("sphere", (0.04,), (0.0, 0.03, 0.04)),
+    "carton": Shape("box", (0.06, 0.10, 0.12), (0.0, 0.0, 0.06), 0.3),
+    "carton from its corner": Shape("box", (0.08, 0.08, 0.12), (0.0, 0.0, 0.06), 0.8),
+}
+AXIS = np.array([0.3, -0.2])
+
+
+def wall(
+    angles: np.ndarray, radius: float, inside: bool, noise: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points and normals into the solid of an upright tube's wall."""
+    rng = np.random.default_rng(0)
+    outward = np.stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)], 1)
+    points = outward * (radius + noise * rng.normal(size=len(angles)))[:, None]
+    points[:, :2] += AXIS
+    points[:, 2] = rng.uniform(0, 0.1, len(angles))
+    tilt = noise * 50 * rng.normal(size=(len(angles), 3))
+    normals = (outward if inside else -outward) + tilt
+    return points.astype(np.float32), (normals / np.linalg.norm(normals, axis=1)[:, None]).astype(np.float32)
+
+
+def test_the_axis_of_half_a_tube_is_found_beside_a_handle() -> None:
+    rng = np.random.default_rng(1)
+    points, normals = wall(rng.uniform(-1.2, 1.2, 600), 0.04, inside=False, noise=0.001)
+    handle = np.array([AXIS[0] + 0.06, AXIS[1], 0.05]) + rng.uniform(-0.01, 0.01, (60, 3))
+    sideways = np.tile([0.0, 1.0, 0.0], (60, 1))
+    axis = vertical_axis(
+        np.concatenate([points, handle.astype(np.float32)]),
+        np.concatenate([normals, sideways.astype(np.float32)]),
+    )
+    assert axis is not None
+    assert np.abs(axis - AXIS).max() < 0.002
+
+
+def test_inner_and_outer_walls_share_the_axis() -> None:
+    rng = np.random.default_rng(2)
+    outer = wall(rng.uniform(-0.8, 0.8, 400), 0.04, inside=False, noise=0.0005)
+    inner = wall(rng.uniform(2.3, 4.0, 400), 0.036, inside=True, noise=0.0005)
+    axis = vertical_axis(*(np.concatenate(pair) for pair in zip(outer, inner)))
+    assert axis is not None
+    assert np.abs(axis - AXIS).max() < 0.001
+
+
+def test_flat_and_few_points_have_no_axis() -> None:
+    rng = np.random.default_rng(3)
+    flat = np.stack([np.zeros(500), rng.uniform(-0.05, 0.05, 500), rng.uniform(0, 0.1, 500)], 1)
+    faces = np.tile(np.float32([1, 0, 0]), (500, 1))
+    assert vertical_axis(flat.astype(np.float32), faces) is None
+    assert vertical_axis(*wall(np.linspace(-1, 1, 50), 0.04, inside=False)) is None
+    level = np.tile(np.float32([0, 0, -1]), (500, 1))  # a table top
+    assert vertical_axis(flat.astype(np.float32), level) is None
+
+
+@cache
+def revolved(name: str) -> RevolvedEdges | None:
+    observation = observe(make_tabletop((SOLIDS[name],)).frame)
+    edges = SeenSurface.of(observation, floors=[-0.0015]).edges(0)
+    return RevolvedEdges.of(edges, observation.objects[0].points, 0.004)
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_round_things_are_told_from_cartons(name: str) -> None:
+    assert (revolved(name) is not None) == (name in ("can", "ball"))
+
+
+def ring(edges: RevolvedEdges, radius: float, angle: np.ndarray) -> np.ndarray:
+    x, y = edges.axis[:, None] + radius * np.stack([np.cos(angle), np.sin(angle)])
+    return np.stack([x, y, np.full_like(x, 0.06)], 1).astype(np.float32)
+
+
+def test_the_hidden_side_of_a_can_lies_where_its_circle_does() -> None:
+    edges = revolved("can")
+    assert edges is not None
+    angle = np.linspace(0, 2 * np.pi, 90, endpoint=False)
+    for offset in (-0.003, -0.0015, 0.002):
+        depth = edges.depth_of(ring(edges, 0.04 + offset, angle))
+        np.testing.assert_allclose(depth, -offset, atol=0.001)
+    assert (edges.depth_of(ring(edges, 0.052, angle)) < 0).all()
+    assert edges.depth_of(np.float32([[*edges.axis, 0.06]]))[0] > 0.01  # nobody knows the inside
+
+
+def test_what_was_measured_is_read_as_it_was() -> None:
+    edges = revolved("can")
+    assert edges is not None
+    observation = observe(make_tabletop((CAN,)).frame)
+    points = observation.objects[0].points.astype(np.float32)
+    measured, said = edges.edges.read(points), edges.read(points)
+    np.testing.assert_array_equal(measured.distance, said.distance)
+    np.testing.assert_array_equal(measured.depth, said.depth)
