@@ -22,15 +22,12 @@ FOOT_GAP = 0.02
 LOW_SHARE = 0.1
 """Seen from above, the lowest tenth of what is seen of it is no foot, but a handle or spout."""
 STANDING = 0.5
-"""It stands where it is as probable as this on its support ..."""
-STANDS_ON = 0.2
-"""... and lacks a foot where, seen from above, it stands on less than this share of what its top covers; cut
-by the border, where it stands nowhere."""
+"""It stands where it is as probable as this on its support: then it lacks no foot."""
 COVERED = 0.5
 """It lies on something else where that stands under more than this share of it."""
 REACH_DOWN = 0.75
 """Such an object goes down to its support with this probability where it is above: unsure, but there."""
-STEEP = 0.9
+STEEP = 0.95
 """Cosine between the line of sight and the support's normal from which on a top hides the foot under it."""
 BORDER = 2
 """An object whose pixels come this near to the image's border goes on beyond it [px]."""
@@ -112,9 +109,7 @@ def reach_down(
     else:
         there = _under_end(observation, space, index, points[rows])
     foot = ground[rows] & (there > STANDING)
-    # Seen from above, a handle may touch the support though the bulk of the object was not seen to.
-    asked, share = (rows[foot], STANDS_ON) if above else (np.flatnonzero(ground), 0.0)
-    if (guess[asked, own] > STANDING).sum() > share * len(asked):
+    if (guess[ground, own] > STANDING).any():
         return
     others = guess[rows].sum(1) - guess[rows, 0] - guess[rows, own]
     if foot.any() and (others[foot] > STANDING).mean() > COVERED:

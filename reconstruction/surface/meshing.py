@@ -14,7 +14,7 @@ from reconstruction.surface.parts import label, parts_to_keep
 from reconstruction.surface.revolved import RevolvedEdges
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
 from reconstruction.surface.seen_surface import SeenSurface
-from reconstruction.surface.unseen_walls import has_tunnel, with_unseen_walls
+from reconstruction.surface.unseen_walls import MOST_HIDDEN, MOST_OF_ROUND, has_tunnel, with_unseen_walls
 from reconstruction.surface.vertices_apart import apart, off_the_surface
 
 RULED_OUT = -4.0
@@ -43,7 +43,7 @@ def extract_mesh(
         floor = np.log(config.max_uncertainty / (1 - config.max_uncertainty))
         sure = floor - np.log(np.clip(uncertainty, 1e-6, 1 - 1e-6) / np.clip(1 - uncertainty, 1e-6, 1))
         log_odds = np.minimum(log_odds, sure)
-    spacing, start, edges = field.spacing, np.zeros(3), None
+    spacing, start, edges, known = field.spacing, np.zeros(3), None, None
     if surface is not None and seen is not None and min(log_odds.shape) > 1:
         edges = surface.edges(index)
         known = config.fusion.round_bodies and RevolvedEdges.of(edges, seen, config.fusion.wall)
@@ -61,7 +61,8 @@ def extract_mesh(
         return None
     if edges is not None and seen is not None and config.fusion.unseen_walls and has_tunnel(*found):
         first = corner + field.spacing * start
-        walled = with_unseen_walls(log_odds, first, spacing, edges, seen)
+        most = MOST_OF_ROUND if known else MOST_HIDDEN
+        walled = with_unseen_walls(log_odds, first, spacing, edges, seen, most)
         if walled is not None:
             found = closed_surface(walled, config.smallest_part, cells) or found
     vertices, faces = found

@@ -31,9 +31,9 @@ HELD = 0.3
 """Log odds that hold a wall together where smoothing would open it."""
 SMOOTH = 1.0
 """Standard deviation of the smoothing of new walls [nodes]."""
-MOST_HIDDEN = 150_000
-"""Objects with more hidden nodes keep their tunnels: the time grows with these nodes, and what has so many at
-2.5 mm (a skillet, a pot) would take as long as the other objects of a scene."""
+MOST_HIDDEN, MOST_OF_ROUND = 60_000, 150_000
+"""Objects with more hidden nodes keep their tunnels: a heap or a chain of that size has tunnels that nobody
+saw. Bodies of revolution have none, and keep theirs only because of the time that so many nodes take."""
 FEW = 16
 """One node in so many tells whether there are more than that."""
 
@@ -44,12 +44,17 @@ def has_tunnel(vertices: np.ndarray, faces: np.ndarray) -> bool:
 
 
 def with_unseen_walls(
-    log_odds: np.ndarray, corner: np.ndarray, spacing: float, edges: Edges | JointEdges, seen: np.ndarray
+    log_odds: np.ndarray,
+    corner: np.ndarray,
+    spacing: float,
+    edges: Edges | JointEdges,
+    seen: np.ndarray,
+    most_hidden: int = MOST_HIDDEN,
 ) -> np.ndarray | None:
     """The log odds (nx, ny, nz) of one object with walls across tunnels that no ray passed; None without any.
 
     Lattice at corner + spacing * (i, j, k) [m, table frame]; edges: of the object's image; seen: (N, 3)
-    measured points of it [m].
+    measured points of it [m]; most_hidden: nodes, with more of which tunnels stay.
     """
     box = extent(log_odds > 0)
     if box is None:
@@ -62,9 +67,9 @@ def with_unseen_walls(
     hidden[1:-1, 1:-1, 1:-1] = ~solid[1:-1, 1:-1, 1:-1]
     nodes = np.flatnonzero(hidden)
     points = places(nodes, values.shape, corner + spacing * first, spacing)
-    if len(nodes) > MOST_HIDDEN:
+    if len(nodes) > most_hidden:
         few = np.count_nonzero(~np.isnan(_unpassed(points[::FEW], edges, seen)))
-        if few > MOST_HIDDEN // FEW:
+        if few > most_hidden // FEW:
             return None
     reach = _unpassed(points, edges, seen)
     hidden.reshape(-1)[nodes] = ~np.isnan(reach)
