@@ -196,11 +196,13 @@ def _depths(profile: np.ndarray, inwards: np.ndarray, low: float, empty: np.ndar
     places[..., 1] += low
     beyond = np.where(empty, BESIDE, 2 * BESIDE)
     outer = (inwards[:, 0] < 0) & (inwards[:, 1] > -FLOOR)
-    one, other = (_depth_behind(profile[side], inwards[side], places, beyond) for side in (outer, ~outer))
-    # A wall's two sides are known to a millimetre or two, and some walls are no thicker.
-    both = np.isfinite(one) & np.isfinite(other)
-    lacking = np.maximum(THINNEST - np.where(both, one + other, THINNEST), 0) / 2
-    depth = np.where(both, np.minimum(one, other) + lacking, np.maximum(one, other))
+    sides = sorted((outer, ~outer), key=np.count_nonzero)
+    less, more = (_depth_behind(profile[side], inwards[side], places, beyond) for side in sides)
+    # A wall's two sides are known to a millimetre or two, and some walls are no thicker: the side of which
+    # more was seen stays where it is.
+    both = np.isfinite(less) & np.isfinite(more)
+    lacking = np.maximum(THINNEST - np.where(both, less + more, THINNEST), 0)
+    depth = np.where(both, np.minimum(less + lacking, more), np.maximum(less, more))
     depth = np.where(np.isfinite(depth), depth, np.where(empty, EMPTY, UNKNOWN)).astype(np.float32)
     return ndimage.grey_closing(depth, SLIT)
 
