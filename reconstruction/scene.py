@@ -24,6 +24,7 @@ from reconstruction.fitted_scene import FittedScene, generator
 from reconstruction.pictures.palette import paint
 from reconstruction.result import ObjectField, OtherObstacles, ReconstructedObject, Reconstruction
 from reconstruction.surface.field import Field, overlap, window_of, within
+from reconstruction.surface.parts import SEEN_POINTS
 from reconstruction.warm_start import Before, Surface
 
 STAGES = {
@@ -36,6 +37,8 @@ STAGES = {
     "meshes": "mesh",
 }
 """Step of the scene -> the name its time is reported under."""
+WELL_BEYOND = 0.01
+"""Measured points this far beyond the box around an object's mesh are said to be missing from it [m]."""
 
 
 def reconstruct(
@@ -127,12 +130,14 @@ def deliver(scene: FittedScene) -> Reconstruction:
     T_world_table = frame.camera.T_world_camera @ np.linalg.inv(observation.T_table_camera)
     objects: list[ReconstructedObject] = []
     fields: list[ObjectField] = []
-    skipped = list(observation.skipped)
+    skipped, notes = list(observation.skipped), list(observation.notes)
     for index, (item, surface) in enumerate(zip(observation.objects, scene.meshes)):
         if surface is None:
             skipped.append(Skipped(item.label, item.name, "the map gives it no volume at this resolution"))
             continue
-        fields.append(_object_field(scene.field, index, item, np.asarray(surface.mesh.vertices)))
+        vertices = np.asarray(surface.mesh.vertices)
+        notes += beyond_its_mesh(item, vertices)
+        fields.append(_object_field(scene.field, index, item, vertices))
         objects.append(_place(surface, item, index + 1, T_world_table))
     if not objects:
         raise DataError(f"{frame.source}: no object has volume at a spacing of {scene.config.mesh.spacing} m")
@@ -147,7 +152,7 @@ def deliver(scene: FittedScene) -> Reconstruction:
         sample_classes=scene.samples.y.argmax(1),
         timings_ms={},
         skipped=tuple(skipped),
-        notes=observation.notes,
+        notes=tuple(notes),
         config=scene.config.as_dict(),
         seed=scene.seed,
         floor=scene.floor,
@@ -165,6 +170,21 @@ def _other(scene: FittedScene, T_world_table: np.ndarray) -> OtherObstacles | No
     mesh = trimesh.Trimesh(vertices, surface.mesh.faces, process=False)
     paint(mesh, surface.uncertainty)
     return OtherObstacles(mesh, surface.uncertainty, own)
+
+
+def beyond_its_mesh(item: ObservedObject, vertices: np.ndarray) -> list[str]:
+    """A line where measured points of an object lie well beyond its mesh's vertices (V, 3): in a part apart
+    from the rest, of which so little was seen that it may be another thing's."""
+    low, high = vertices.min(0), vertices.max(0)
+    off = np.maximum(np.maximum(low - item.points, item.points - high), 0).max(1)
+    count = int(np.count_nonzero(off > WELL_BEYOND))
+    if count < SEEN_POINTS:
+        return []
+    far = 1e3 * float(off.max())
+    return [
+        f"object {item.label} {item.name}: {count} measured points, up to {far:.0f} mm beyond its mesh, are "
+        "not in it: too few of them, apart from the rest"
+    ]
 
 
 def _object_field(field: Field, index: int, item: ObservedObject, vertices: np.ndarray) -> ObjectField:

@@ -10,8 +10,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import trimesh
+from solids import reconstructed_tabletop
 
 from mapping.errors import DataError
+from reconstruction.scene import beyond_its_mesh
 from reconstruction.surface.meshing import closed_surface
 from reconstruction.surface.parts import parts_to_keep
 from sim_scenes import convex_parts
@@ -203,3 +205,14 @@ def test_a_small_part_of_an_object_is_in_its_mesh_when_it_was_seen(points: int, 
     mesh = trimesh.Trimesh(*found, process=False)
     assert mesh.is_watertight
     assert (mesh.bounds[1, 0] > 30) == there
+
+
+def test_what_was_measured_beyond_a_mesh_is_said() -> None:
+    item = reconstructed_tabletop().observation.objects[0]
+    low, high = item.points.min(0), item.points.max(0)
+    corners = np.stack([low, high])
+    assert beyond_its_mesh(item, corners) == []
+    cut = np.stack([low, [*high[:2], high[2] - 0.05]])
+    (line,) = beyond_its_mesh(item, cut)
+    assert item.name in line
+    assert "50 mm beyond" in line
