@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -105,3 +106,22 @@ def test_what_was_measured_is_read_as_it_was() -> None:
     measured, said = edges.edges.read(points), edges.read(points)
     np.testing.assert_array_equal(measured.distance, said.distance)
     np.testing.assert_array_equal(measured.depth, said.depth)
+
+
+def test_what_lies_close_behind_a_handle_stays() -> None:
+    shape = Shape("box", (0.03, 0.02, 0.06), (0.03, 0.02 + 0.05, 0.06))
+    frame = make_tabletop((CAN, shape)).frame
+    assert frame.labels is not None
+    handle = frame.labels == 2
+    observation = observe(replace(frame, labels=np.minimum(frame.labels, 1)))
+    edges = SeenSurface.of(observation, floors=[-0.0015]).edges(0)
+    item = observation.objects[0]
+    both = RevolvedEdges.of(edges, item.points, 0.004)
+    assert both is not None
+    of_handle = item.points[handle.reshape(-1)[item.pixels]].astype(np.float32)
+    of_handle = of_handle[np.hypot(*(of_handle[:, :2] - both.axis).T) > 0.052]
+    assert len(of_handle) > 50
+    behind = edges.behind(of_handle, 0.008)
+    assert (both.depth_of(behind) < 0).mean() > 0.5  # turned, it would be empty there
+    np.testing.assert_array_equal(both.read(behind).distance, edges.read(behind).distance)
+    np.testing.assert_array_equal(both.read(behind).depth, edges.read(behind).depth)

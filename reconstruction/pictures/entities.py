@@ -1,4 +1,4 @@
-"""What recordings of a run and of a stream share: the stream itself, the table, meshes, text, the first view.
+"""What recordings of a run and of a stream share: stream, table, cameras, meshes, text, the first view.
 
 Knows rerun and results; knows nothing of which entities a recording holds.
 """
@@ -20,6 +20,7 @@ from reconstruction.pictures.guides import log_axes, log_colour_bar
 from reconstruction.pictures.slices import directions
 
 if TYPE_CHECKING:
+    from perception.camera import Camera
     from reconstruction.files.stored import StoredObject
     from reconstruction.result import ReconstructedObject
 
@@ -50,6 +51,17 @@ def log_table(stream: Any, T_world_table: np.ndarray, upright: bool) -> None:
     log_axes(stream, "world/axes", "world")
     log_axes(stream, "world/table/axes", "table")
     log_colour_bar(stream)
+
+
+def pinhole(camera: Camera) -> Any:
+    """A camera's image plane, 10 cm before it."""
+    return rerun_sdk().Pinhole(
+        image_from_camera=camera.K,
+        width=camera.width,
+        height=camera.height,
+        camera_xyz=rerun_sdk().ViewCoordinates.RDF,
+        image_plane_distance=0.1,
+    )
 
 
 def mesh3d(

@@ -38,6 +38,7 @@ from reconstruction.pictures.entities import (
     log_table,
     log_text,
     mesh3d,
+    pinhole,
     rerun_sdk,
     save_stream,
     view_of,
@@ -166,15 +167,10 @@ def _log_camera(stream: Any, reconstruction: Reconstruction) -> None:
     rr = rerun_sdk()
     frame, observation = reconstruction.frame, reconstruction.observation.first
     camera = frame.camera
-    pinhole = rr.Pinhole(
-        image_from_camera=camera.K,
-        width=camera.width,
-        height=camera.height,
-        camera_xyz=rr.ViewCoordinates.RDF,
-        image_plane_distance=0.1,
-    )
     T = camera.T_world_camera
-    stream.log("world/camera", rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]), pinhole, static=True)
+    stream.log(
+        "world/camera", rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]), pinhole(camera), static=True
+    )
     if frame.rgb is not None:
         stream.log("world/camera/rgb", rr.Image(frame.rgb), static=True)
     near, far = np.nanpercentile(frame.depth, [1, 99])  # a few stray pixels must not stretch the colours

@@ -25,6 +25,7 @@ from reconstruction.pictures.entities import (
     log_table,
     log_text,
     mesh3d,
+    pinhole,
     rerun_sdk,
     save_stream,
     view_of,
@@ -75,15 +76,8 @@ class Timeline:
         rr = rerun_sdk()
         camera = frame.camera
         T = shifted_pose(camera.T_world_camera, shift)
-        pinhole = rr.Pinhole(
-            image_from_camera=camera.K,
-            width=camera.width,
-            height=camera.height,
-            camera_xyz=rr.ViewCoordinates.RDF,
-            image_plane_distance=0.1,
-        )
         pose = rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3])
-        self._stream.log("world/camera", pose, pinhole)
+        self._stream.log("world/camera", pose, pinhole(camera))
         if frame.rgb is not None:
             image = rr.Image(frame.rgb).compress(jpeg_quality=JPEG_QUALITY)
             self._stream.log("world/camera/rgb", image)

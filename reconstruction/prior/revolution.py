@@ -3,7 +3,8 @@
 Cups, bowls, bottles and pots are; their far wall and their cavity are known from the near wall and the rim.
 The axis comes from circles fitted to level slices of the visible points. Whether the object is such a body is
 left to the network to judge, from how well the circles fit and how often the turned evidence contradicts
-itself.
+itself. `reconstruction/surface/vertical_axis.py` knows normals and finds the axis better; this one stays what
+the weights were trained with.
 Knows rays and visible points; knows nothing of images and weights.
 """
 

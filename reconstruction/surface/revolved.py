@@ -144,7 +144,7 @@ class RevolvedEdges:
         return ndimage.map_coordinates(self.depth, places, order=1, cval=float(UNKNOWN))
 
     def _shown(self, points: np.ndarray, behind: np.ndarray) -> np.ndarray:
-        """Where the surface is that points (N, 3) lie `behind` (N,) [m], seen from the camera."""
+        """Where the surface is that points (N, 3) lie `behind` (N,) [m], seen from the first camera."""
         views = self.edges.views if isinstance(self.edges, JointEdges) else (self.edges,)
         T = views[0].seen.T_camera_table
         rays = points - (-T[:3, :3].T @ T[:3, 3]).astype(np.float32)
