@@ -23,7 +23,7 @@ from perception.observation import (
     SupportPlane,
     near_boxes,
 )
-from perception.quantiles import quantiles
+from perception.quantiles import column_quantiles
 from perception.segmentation import segment
 from perception.silhouettes import silhouettes
 from perception.support_plane import find_support_plane
@@ -140,7 +140,7 @@ def _astray(points: np.ndarray, places: np.ndarray) -> np.ndarray:
 
     Holes at the rim of a mask take after stray pixels beside them. points: (N, 3) [m] measured, same frame.
     """
-    low, high = np.stack([quantiles(column, 0.01, 0.99) for column in points.T], axis=1)
+    low, high = column_quantiles(points, 0.01, 0.99)
     return np.asarray(((places < low - BEYOND) | (places > high + BEYOND)).any(1))
 
 
@@ -199,9 +199,9 @@ def _split_objects(
 
 def _out_of_scale(points: np.ndarray, config: PerceptionConfig) -> str | None:
     """Why visible points (N, 3) [m] of an object are too large or too far to be mapped, or None."""
-    few = points[:: 1 + len(points) // 2000].T
-    low, high = np.stack([quantiles(column, 0.01, 0.99) for column in few], axis=1)
-    size, distance = float((high - low).max()), float(np.median(few[2]))
+    few = points[:: 1 + len(points) // 2000]
+    low, high = column_quantiles(few, 0.01, 0.99)
+    size, distance = float((high - low).max()), float(np.median(few[:, 2]))
     if size > config.largest_object:
         return f"{size:.2f} m in size, at most {config.largest_object:g} m are mapped (largest_object)"
     noise = config.depth_noise * distance**2

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from perception.grouping import group_by_label
+from perception.thin_plate import block_means, thin_plate
 
 SEEN_THROUGH = 0.25
 """Where more than this share of a mask, inside its object's outline, measured something else, it is seen
@@ -34,39 +35,36 @@ def silhouettes(
     measured = np.isfinite(depth).reshape(-1)
     guess = np.full(depth.shape, np.nan, np.float32)
     found: dict[int, np.ndarray] = {}
-    lost = np.flatnonzero((raw > 0) & (kept == 0))
-    total = np.bincount(raw)
-    surface = np.flatnonzero(kept > 0)
-    surface_of = {label: surface[group] for label, group in group_by_label(kept[surface])}
-    for label, group in group_by_label(raw[lost]):
-        pixels, own = lost[group], surface_of.get(label, surface[:0])
-        through = pixels[measured[pixels]]
-        missing = pixels[~measured[pixels]]
+    labelled = np.flatnonzero(raw > 0)
+    for label, group in group_by_label(raw[labelled]):
+        whole = labelled[group]
+        surface = kept[whole] > 0
+        own, lost = whole[surface], whole[~surface]
+        seen = measured[lost]
         if len(own) < least:
-            whole = len(through) > SEEN_THROUGH_WHOLE * total[label]
-            found[label] = pixels if whole else missing
+            everything = np.count_nonzero(seen) > SEEN_THROUGH_WHOLE * len(whole)
+            found[label] = lost if everything else lost[~seen]
             continue
-        inside = _inside_outline(own, pixels, depth.shape)
-        through = pixels[measured[pixels] & inside]
-        if len(through) <= SEEN_THROUGH * total[label]:
-            through = through[:0]
-        hole = np.concatenate([pixels[~measured[pixels] & inside], through])
-        found[label] = np.sort(np.concatenate([missing, through]))
+        inside = _inside_outline(own, lost, depth.shape)
+        through = seen & inside
+        if np.count_nonzero(through) <= SEEN_THROUGH * len(whole):
+            through[:] = False
+        found[label] = lost[~seen | through]
+        hole = lost[(~seen & inside) | through]
         if len(hole):
             guess.reshape(-1)[hole] = _filled(depth, own, hole)
     return {label: pixels for label, pixels in found.items() if len(pixels)}, guess
 
 
 def _inside_outline(own: np.ndarray, pixels: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Which pixels lie inside the convex outline of an object's own pixels, all as flat indices."""
+    """Which pixels lie inside the convex outline of an object's own pixels, both flat indices that ascend."""
     import cv2
 
-    own = np.sort(own)
-    rows = own // shape[1]
     # The first and the last pixel of every row say as much of the outline as all of them.
-    starts = np.flatnonzero(np.diff(rows, prepend=-1))
-    ends = np.append(starts[1:], len(own)) - 1
-    rows, columns = np.divmod(own[np.concatenate([starts, ends])], shape[1])
+    row_starts = np.arange(own[0] // shape[1], own[-1] // shape[1] + 2) * shape[1]
+    ends = np.searchsorted(own, row_starts)
+    filled = ends[1:] > ends[:-1]
+    rows, columns = np.divmod(own[np.concatenate([ends[:-1][filled], ends[1:][filled] - 1])], shape[1])
     top, left = rows.min(), columns.min()
     mask = np.zeros((rows.max() - top + 1, columns.max() - left + 1), np.uint8)
     hull = cv2.convexHull(np.stack([columns - left, rows - top], 1).astype(np.int32))
@@ -98,23 +96,12 @@ def _filled(depth: np.ndarray, own: np.ndarray, hole: np.ndarray) -> np.ndarray:
     )
     into = index[len(own) :]
     if distance.reshape(-1)[into].max() > DEEP:
-        places = np.stack([rows, columns], axis=1).astype(np.float64)
-        answer = _thin_plate(places[: len(own)], inverse, places[len(own) :])
+        # Means over blocks of pixels: fewer to solve for, and less noise.
+        side = max(1, int(np.sqrt(len(rows) / PLATE_BLOCKS)))
+        places, values = block_means(rows[: len(own)], columns[: len(own)], inverse, side)
+        answer = thin_plate(places, values, np.stack([rows, columns], axis=1)[len(own) :])
     else:
         value = np.zeros(int(nearest.max()) + 1, np.float32)
         value[nearest.reshape(-1)[index[: len(own)]]] = inverse
         answer = value[nearest.reshape(-1)[into]]
     return (1 / np.clip(answer, inverse.min(), inverse.max())).astype(np.float32)
-
-
-def _thin_plate(places: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """The surface (M,) that bends least through values (N,) at places (N, 2) [px]; wanted: (M, 2) [px]."""
-    from scipy.interpolate import RBFInterpolator
-
-    # Means over blocks of pixels: fewer to solve for, and less noise.
-    side = max(1, int(np.sqrt((len(places) + len(wanted)) / PLATE_BLOCKS)))
-    block = (places // side).astype(np.int64)
-    _, of, count = np.unique(block @ [1 << 20, 1], return_inverse=True, return_counts=True)
-    mean = [np.bincount(of, column) / count for column in (*places.T, values)]
-    plate = RBFInterpolator(np.stack(mean[:2], axis=1), mean[2], kernel="thin_plate_spline", degree=1)
-    return plate(wanted)

@@ -11,7 +11,7 @@ import numpy as np
 from perception.config import PerceptionConfig
 from perception.grouping import group_by_label
 from perception.observation import SupportPlane
-from perception.quantiles import quantiles
+from perception.quantiles import column_quantiles, quantiles
 
 REST_LENGTH = 0.05
 """How fast a plane loses credit with the gap between it and the objects' lowest points [m]."""
@@ -101,7 +101,7 @@ def _near_objects(around: np.ndarray, groups: list[np.ndarray], reach: float) ->
     near = np.zeros(len(around), bool)
     columns = np.ascontiguousarray(around.T)
     for group in groups:
-        low, high = np.stack([quantiles(column, 0.1, 0.9) for column in group.T], axis=1)
+        low, high = column_quantiles(group, 0.1, 0.9)
         inside = np.ones(len(around), bool)
         for column, least, most in zip(columns, low - reach, high + reach, strict=True):
             inside &= (column > least) & (column < most)

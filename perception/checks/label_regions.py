@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from perception.grouping import group_by_label
-from perception.quantiles import quantiles
+from perception.quantiles import column_quantiles
 
 ALL, SAMPLE = 12_000, 1_000
 """Points looked at of all labels together, and of each label."""
@@ -69,4 +69,4 @@ def _region(label: int, own: np.ndarray) -> LabelRegion:
 
 def _trimmed(points: np.ndarray) -> np.ndarray:
     """Least and greatest coordinates (2, 3) of points (N, 3), but for the share that is trimmed."""
-    return np.stack([quantiles(along, *TRIM) for along in points.T], axis=1)
+    return column_quantiles(points, *TRIM)
