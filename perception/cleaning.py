@@ -7,8 +7,9 @@ import numpy as np
 from perception.camera import Camera
 from perception.clusters import main_clusters
 from perception.config import PerceptionConfig
-from perception.depth_edges import border_pairs, connected_pieces, depth_jump
+from perception.depth_edges import border_pairs, depth_jump
 from perception.grouping import group_by_label
+from perception.joining import connected_pieces
 from perception.observation import SupportPlane
 from perception.quantiles import quantiles
 

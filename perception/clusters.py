@@ -8,10 +8,9 @@ from perception.camera import Camera
 from perception.config import PerceptionConfig
 from perception.depth_edges import border_pairs, depth_jump
 from perception.grouping import group_by_label
+from perception.joining import connected_points
 from perception.observation import SupportPlane
 
-NEIGHBOUR_VOXELS = 1.75
-"""Occupied voxels whose centres are this near (26 neighbours) belong to one cluster [voxels]."""
 PIECE_SHARE = 0.02
 """A piece parted from the main cluster must have this share of its pixels to be taken back."""
 COVERED_SHARE = 0.8
@@ -36,7 +35,7 @@ def main_clusters(
     pixels: (N,) flat indices of the labelled pixels to judge.
     """
     flat, raw = points.reshape(-1, 3), labels.reshape(-1)
-    own, label = flat[pixels], raw[pixels]
+    own, label = flat.take(pixels, axis=0), raw[pixels]
     cluster = _euclidean_clusters(own, label, camera, config)
     size = np.bincount(cluster)
     owner = np.zeros(len(size), label.dtype)
@@ -72,41 +71,16 @@ def _euclidean_clusters(
     points: np.ndarray, label: np.ndarray, camera: Camera, config: PerceptionConfig
 ) -> np.ndarray:
     """Cluster number (N,) of points (N, 3): connected voxels of one label, numbered in image order."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
-
     # Far away, pixels and noise spread wider than the gap asked for, so the voxel grows with depth.
-    pitch = 3.0 / min(camera.K[0, 0], camera.K[1, 1])
-    scale = np.empty(len(points), np.float32)
-    group = np.empty(len(points), np.int64)
-    for number, (_, mine) in enumerate(group_by_label(label)):
+    pixel = 3.0 / min(camera.K[0, 0], camera.K[1, 1])
+    groups = group_by_label(label)
+    scale = np.empty(len(groups), np.float32)
+    number = np.empty(int(label.max()) + 1, np.int64)
+    for index, (name, mine) in enumerate(groups):
         z = float(np.median(points[mine[:: 1 + len(mine) // 1000], 2]))
-        scale[mine] = 1 / max(config.cluster_gap / 1.5, pitch * z, 2 * config.depth_noise * z * z)
-        group[mine] = number
-    key = group
-    cells = []
-    for column in points.T:
-        cell = np.floor(column * scale).astype(np.int64)
-        cell -= cell.min()
-        key = key * (cell.max() + 1) + cell
-        cells.append(cell)
-    # Neighbours in a row mostly share their voxel; with one of each run there is little left to sort.
-    starts = np.concatenate([[True], key[1:] != key[:-1]])
-    head = np.flatnonzero(starts)
-    _, first, voxel = np.unique(key[head], return_index=True, return_inverse=True)
-    first = head[first]
-    # Labels are set far apart along a fourth axis, so that one tree serves all of them.
-    centre = np.column_stack([*(cell[first] for cell in cells), 10.0 * group[first]])
-    pairs = cKDTree(centre).query_pairs(NEIGHBOUR_VOXELS, output_type="ndarray")
-    graph = coo_matrix((np.ones(len(pairs), bool), (pairs[:, 0], pairs[:, 1])), shape=(len(first),) * 2)
-    number_of = connected_components(graph, directed=False)[1]
-    # Renumbered in the order met in the image, which does not depend on the labels' values.
-    met = np.full(number_of.max() + 1, len(points), np.int64)
-    np.minimum.at(met, number_of, first)
-    order = np.empty(len(met), np.int64)
-    order[np.argsort(met)] = np.arange(len(met))
-    return order[number_of][voxel.reshape(-1)][np.cumsum(starts) - 1]
+        scale[index] = 1 / max(config.cluster_gap / 1.5, pixel * z, 2 * config.depth_noise * z * z)
+        number[name] = index
+    return connected_points(points, number[label], scale)
 
 
 def _leak_share(

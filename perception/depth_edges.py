@@ -1,4 +1,4 @@
-"""Where a depth image is one surface and where it jumps: flying pixels, pieces, borders of regions."""
+"""Where a depth image is one surface and where it jumps: flying pixels, joints, borders of regions."""
 
 from __future__ import annotations
 
@@ -31,24 +31,6 @@ def remove_flying_pixels(depth: np.ndarray, camera: Camera, config: PerceptionCo
     cleaned = depth.copy()
     cleaned[flying] = np.nan
     return cleaned
-
-
-def connected_pieces(joined_right: np.ndarray, joined_down: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Number (H, W) int32 of the piece each pixel of mask (H, W) belongs to, 0 outside the mask.
-
-    joined_right (H, W-1) and joined_down (H-1, W): whether a pixel and the next one are one surface.
-    The image is spread to twice its size with the joints in the odd rows and columns, so that OpenCV's
-    component labelling can respect them.
-    """
-    import cv2
-
-    height, width = mask.shape
-    spread = np.zeros((2 * height - 1, 2 * width - 1), np.uint8)
-    spread[::2, ::2] = mask
-    spread[::2, 1::2] = joined_right & mask[:, 1:] & mask[:, :-1]
-    spread[1::2, ::2] = joined_down & mask[1:] & mask[:-1]
-    _, pieces = cv2.connectedComponents(spread, connectivity=4)
-    return np.ascontiguousarray(pieces[::2, ::2])
 
 
 def joined_neighbours(

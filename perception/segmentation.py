@@ -7,7 +7,8 @@ import numpy as np
 from perception.camera import Camera
 from perception.concave_split import split_at_creases
 from perception.config import PerceptionConfig
-from perception.depth_edges import connected_pieces, joined_neighbours
+from perception.depth_edges import joined_neighbours
+from perception.joining import connected_pieces
 from perception.observation import SupportPlane
 
 HULL_MARGIN = 0.15

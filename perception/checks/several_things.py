@@ -12,8 +12,9 @@ from perception.camera import Camera
 from perception.checks.label_regions import LabelRegion
 from perception.clusters import closest_pair, covered
 from perception.config import PerceptionConfig
-from perception.depth_edges import border_pairs, connected_pieces, depth_jump, joined_neighbours
+from perception.depth_edges import border_pairs, depth_jump, joined_neighbours
 from perception.grouping import group_by_label
+from perception.joining import connected_pieces
 from perception.observation import SupportPlane
 
 LEAST_PIXELS = 150

@@ -79,7 +79,7 @@ def _true_numbers(inner: np.ndarray) -> list[int]:
 def _pieces(image: np.ndarray) -> np.ndarray:
     """Number (H, W) of the connected piece of equal labels each pixel is part of; background counts as
     well."""
-    from perception.depth_edges import connected_pieces
+    from perception.joining import connected_pieces
 
     right, down = image[:, 1:] == image[:, :-1], image[1:] == image[:-1]
     return connected_pieces(right, down, np.ones(image.shape, bool))
