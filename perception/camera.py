@@ -73,7 +73,11 @@ class Camera:
 
     def back_project(self, depth: np.ndarray) -> np.ndarray:
         """Points (H, W, 3) float32 [m] in the camera frame; depth (H, W) [m] along z, NaN stays NaN."""
-        return self.rays * depth[..., None]
+        points = np.empty((*depth.shape, 3), np.result_type(self.rays, depth))
+        for axis in (0, 1):
+            np.multiply(self.rays[..., axis], depth, out=points[..., axis])
+        points[..., 2] = depth
+        return points
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pixel coordinates (N, 2) [px] and depth (N,) [m] of points (N, 3) in the camera frame."""

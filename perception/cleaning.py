@@ -12,6 +12,7 @@ from perception.grouping import group_by_label
 from perception.joining import connected_pieces
 from perception.observation import SupportPlane
 from perception.quantiles import quantiles
+from perception.window import window_around
 
 OPEN_SHARE = 0.15
 """Table-height pixels with more of their border than this outside the mask lie on the table."""
@@ -85,12 +86,7 @@ def _enclosed(
     """
     mask = np.zeros(labels.shape, bool)
     mask.reshape(-1)[pixels[bottom]] = True
-    # Only the part of the image with such pixels is looked at, and one pixel around it.
-    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    part = (
-        slice(max(0, rows[0] - 1), rows[-1] + 2),
-        slice(max(0, columns[0] - 1), columns[-1] + 2),
-    )
+    part = window_around(mask, 1)
     raw, depth = labels[part].reshape(-1), points[part][..., 2].reshape(-1)
     same_right = labels[part][:, 1:] == labels[part][:, :-1]
     same_down = labels[part][1:] == labels[part][:-1]

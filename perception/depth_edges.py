@@ -4,14 +4,30 @@ from __future__ import annotations
 
 import numpy as np
 
+from mapping.compiled import compiled
 from perception.camera import Camera
 from perception.config import PerceptionConfig
 
 
 def depth_jump(depth: np.ndarray, camera: Camera, config: PerceptionConfig) -> np.ndarray:
     """Depth step [m] between neighbouring pixels that no surface in sight explains; depth (...) [m]."""
+    linear, square = _jump_factors(camera, config)
+    return linear * depth + square * depth * depth
+
+
+def _jump_factors(camera: Camera, config: PerceptionConfig) -> tuple[np.float32, np.float32]:
+    """What depth and its square are multiplied by in a jump: pixels apart at a grazing angle, and noise."""
     per_pixel = np.tan(np.radians(config.grazing_angle)) / min(camera.K[0, 0], camera.K[1, 1])
-    return np.float32(per_pixel) * depth + np.float32(2 * config.depth_noise) * depth * depth
+    return np.float32(per_pixel), np.float32(2 * config.depth_noise)
+
+
+def filled(depth: np.ndarray, value: float) -> np.ndarray:
+    """A copy of depth (H, W) float32 [m] with a value where nothing was measured."""
+    import cv2
+
+    copy = np.array(depth, np.float32, order="C")
+    cv2.patchNaNs(copy, value)
+    return copy
 
 
 def remove_flying_pixels(depth: np.ndarray, camera: Camera, config: PerceptionConfig) -> np.ndarray:
@@ -22,14 +38,25 @@ def remove_flying_pixels(depth: np.ndarray, camera: Camera, config: PerceptionCo
     """
     import cv2
 
-    jump = depth_jump(depth, camera, config)
-    missing = np.isnan(depth)
     kernel = np.ones((3, 3), np.uint8)
-    nearest = cv2.erode(np.where(missing, np.float32(np.inf), depth), kernel)
-    farthest = cv2.dilate(np.where(missing, np.float32(0), depth), kernel)
-    flying = (depth - nearest > jump) & (farthest - depth > jump)
-    cleaned = depth.copy()
-    cleaned[flying] = np.nan
+    nearest = cv2.erode(filled(depth, np.inf), kernel)
+    farthest = cv2.dilate(filled(depth, 0.0), kernel)
+    linear, square = _jump_factors(camera, config)
+    return _without_between(np.ascontiguousarray(depth), nearest, farthest, linear, square)
+
+
+@compiled
+def _without_between(
+    depth: np.ndarray, nearest: np.ndarray, farthest: np.ndarray, linear: np.float32, square: np.float32
+) -> np.ndarray:
+    """A copy of depth (H, W) with NaN where both the nearest and the farthest around are a jump away."""
+    cleaned = np.empty_like(depth)
+    for row in range(depth.shape[0]):
+        for column in range(depth.shape[1]):
+            own = depth[row, column]
+            jump = linear * own + square * own * own
+            flying = own - nearest[row, column] > jump and farthest[row, column] - own > jump
+            cleaned[row, column] = np.float32(np.nan) if flying else own
     return cleaned
 
 

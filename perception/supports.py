@@ -98,14 +98,13 @@ def _level_cells(
         return np.empty((0, 3)), np.empty(0)
     part = slice(0, rows * side), slice(0, columns * side)
     usable = np.isfinite(depth[part]) & (labels[part] == 0)
-    x, y, z = np.moveaxis(points[part], 2, 0)
-    layers = [np.where(usable, along, np.float32(0)) for along in (x, y, z)]
-    mean = [
-        cv2.resize(layer, (columns, rows), interpolation=cv2.INTER_AREA).astype(np.float64)
-        for layer in (*layers, usable.astype(np.float32))
-    ]
-    centre = np.stack(mean[:3], axis=2) / np.maximum(mean[3], 1e-6)[..., None]
-    centre[mean[3] < FILLED] = np.nan
+    known = cv2.copyTo(points[part], usable.astype(np.uint8))  # 0 elsewhere
+    total, share = (
+        cv2.resize(image, (columns, rows), interpolation=cv2.INTER_AREA).astype(np.float64)
+        for image in (known, usable.astype(np.float32))
+    )
+    centre = total / np.maximum(share, 1e-6)[..., None]
+    centre[share < FILLED] = np.nan
     height = centre @ support.normal + support.offset
     level = np.ones((rows, columns), bool)
     for axis in (0, 1):

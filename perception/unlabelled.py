@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mapping.compiled import compiled
 from perception.config import PerceptionConfig
 from perception.observation import NOTHING, OTHER, SUPPORT, SupportPlane
 
@@ -42,17 +43,35 @@ def what_pixels_see(
     points: (H, W, 3) float32 [m] in the camera frame, NaN where missing; cleaned: (H, W) labels of surfaces;
     heights: of all supports over the first one [m].
     """
-    depth = points[..., 2]
-    seen = cleaned.astype(np.int32)
-    bare = seen == 0
-    seen[bare] = OTHER
-    if support is not None:
+    if support is None:
+        height, levels, threshold = points[..., 2], np.empty(0, np.float32), 0.0
+    else:
         height = points @ support.normal.astype(np.float32)
         height += np.float32(support.offset)
-        limit = np.float32(config.depth_noise) * depth
-        limit *= depth
-        limit += np.float32(support.threshold)
-        for of_one in heights:
-            seen[bare & (np.abs(height - np.float32(of_one)) < limit)] = SUPPORT
-    seen[np.isnan(depth)] = NOTHING
+        levels, threshold = np.array(heights, np.float32), support.threshold
+    return _seen(points, cleaned, height, levels, np.float32(config.depth_noise), np.float32(threshold))
+
+
+@compiled
+def _seen(
+    points: np.ndarray,
+    cleaned: np.ndarray,
+    height: np.ndarray,
+    levels: np.ndarray,
+    noise: np.float32,
+    threshold: np.float32,
+) -> np.ndarray:
+    """What each pixel sees, from its height (H, W) over the first support and those of all supports (L,)."""
+    seen = np.empty(height.shape, np.int32)
+    for row in range(height.shape[0]):
+        for column in range(height.shape[1]):
+            # Without branches: which pixels lie on a support is hard to foretell where it is noisy.
+            depth = points[row, column, 2]
+            limit = noise * depth * depth + threshold
+            on_support = False
+            for level in range(len(levels)):
+                on_support |= abs(height[row, column] - levels[level]) < limit
+            bare = SUPPORT if on_support else OTHER
+            kind = cleaned[row, column] if cleaned[row, column] else bare
+            seen[row, column] = NOTHING if np.isnan(depth) else kind
     return seen

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from perception.depth_edges import filled
+from perception.window import window_around
+
 SENTINEL_PIXELS = 20
 """A far value that stands for "nothing" is there at least this often, to the bit."""
 SENTINEL_GAP = 1.5
@@ -52,13 +55,16 @@ def without_lone_far(depth: np.ndarray, labels: np.ndarray | None) -> tuple[np.n
     """
     import cv2
 
-    if labels is None:
+    if labels is None or not (masks := labels > 0).any():
         return depth, 0
-    filled = np.where(np.isnan(depth), np.float32(NOWHERE), depth)
+    part = window_around(masks, WINDOW)  # as far as an opening looks around them
+    known = filled(depth[part], NOWHERE)
     kernel = np.ones((WINDOW, WINDOW), np.uint8)
-    opened = cv2.dilate(cv2.erode(filled, kernel), kernel)
-    lone = (filled < NOWHERE) & (opened < NOWHERE) & (filled > np.float32(FAR_RATIO) * opened) & (labels > 0)
-    count = int(lone.sum())
+    opened = cv2.dilate(cv2.erode(known, kernel), kernel)
+    lone = (known > np.float32(FAR_RATIO) * opened) & (known < NOWHERE) & (opened < NOWHERE) & masks[part]
+    count = int(np.count_nonzero(lone))
     if not count:
         return depth, 0
-    return np.where(lone, np.float32(np.nan), depth), count
+    depth = depth.copy()
+    depth[part][lone] = np.nan
+    return depth, count
