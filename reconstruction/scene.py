@@ -19,6 +19,7 @@ from perception.views.joint import JointObservation, View
 from perception.views.observing_together import observe_together
 from perception.views.placing import relabelled
 from perception.views.touching import touches
+from reconstruction.bounding import bounds, upright_box
 from reconstruction.config import PipelineConfig, pipeline_of
 from reconstruction.fitted_scene import FittedScene, generator
 from reconstruction.pictures.palette import paint
@@ -175,7 +176,10 @@ def _other(scene: FittedScene, T_world_table: np.ndarray) -> OtherObstacles | No
 def beyond_its_mesh(item: ObservedObject, vertices: np.ndarray) -> list[str]:
     """A line where measured points of an object lie well beyond its mesh's vertices (V, 3): in a part apart
     from the rest, of which so little was seen that it may be another thing's."""
-    low, high = vertices.min(0), vertices.max(0)
+    low, high = bounds(vertices)
+    lowest, highest = item.bounds
+    if max((low - lowest).max(), (highest - high).max()) <= WELL_BEYOND:
+        return []
     off = np.maximum(np.maximum(low - item.points, item.points - high), 0).max(1)
     count = int(np.count_nonzero(off > WELL_BEYOND))
     if count < SEEN_POINTS:
@@ -189,15 +193,18 @@ def beyond_its_mesh(item: ObservedObject, vertices: np.ndarray) -> list[str]:
 
 def _object_field(field: Field, index: int, item: ObservedObject, vertices: np.ndarray) -> ObjectField:
     """The lattice around one object, two nodes wider than its mesh."""
-    low, high = vertices.min(0), vertices.max(0)
+    low, high = bounds(vertices)
     around = window_of(field.origin, field.spacing, field.uncertainty.shape, low, high, pad=2)
     window = overlap(around, field.windows[index])
     odds = field.log_odds[index][within(window, field.windows[index])]
+    occupancy = np.exp(-odds)
+    occupancy += 1
+    np.reciprocal(occupancy, out=occupancy)
     return ObjectField(
         label=item.label,
         origin=field.corner(window),
         spacing=field.spacing,
-        occupancy=(1 / (1 + np.exp(-odds))).astype(np.float32),
+        occupancy=occupancy,
         uncertainty=field.uncertainty[window],
     )
 
@@ -219,16 +226,3 @@ def _place(
         T_world_object=T_world_table @ T_table_object,
         extents=extents,
     )
-
-
-def upright_box(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pose (4, 4) and size (3,) of the smallest box around points (V, 3) whose z axis stays vertical."""
-    import cv2
-
-    (x, y), (width, depth), degrees = cv2.minAreaRect(points[:, :2].astype(np.float32))
-    bottom, top = points[:, 2].min(), points[:, 2].max()
-    angle = np.radians(degrees)
-    T = np.eye(4)
-    T[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    T[:3, 3] = [x, y, (bottom + top) / 2]
-    return T, np.array([width, depth, top - bottom])

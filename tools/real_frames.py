@@ -71,7 +71,7 @@ def compare(real: RealFrame, result: Any, ycb: Path | None) -> list[dict[str, An
         row |= {"size_mm": (1e3 * size).round(1).tolist(), "watertight": item.watertight}
         row["mean_uncertainty"] = round(item.mean_uncertainty, 3)
         if (truth := _true_mesh(real, item.label, ycb)) is not None:
-            from reconstruction.scene import upright_box
+            from reconstruction.bounding import upright_box
 
             T_table_world = np.linalg.inv(result.T_world_table)
             vertices = truth.vertices @ T_table_world[:3, :3].T + T_table_world[:3, 3]

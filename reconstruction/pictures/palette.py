@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,11 +41,7 @@ def uncertainty_colours(uncertainty: np.ndarray) -> np.ndarray:
 
     The darkest part of viridis is left out: shading would not be seen on it.
     """
-    import cv2
-
-    ramp = np.linspace(VIRIDIS_START, 255, 256).round().astype(np.uint8)[None]
-    table = cv2.applyColorMap(ramp, cv2.COLORMAP_VIRIDIS)[0, :, ::-1]
-    return table[np.clip(np.round(np.asarray(uncertainty) * 255), 0, 255).astype(np.uint8)]
+    return _viridis()[_entries(uncertainty), :3]
 
 
 def paint(mesh: trimesh.Trimesh, uncertainty: np.ndarray) -> None:
@@ -52,5 +49,20 @@ def paint(mesh: trimesh.Trimesh, uncertainty: np.ndarray) -> None:
     both."""
     from trimesh.visual import ColorVisuals
 
-    mesh.visual = ColorVisuals(mesh, vertex_colors=uncertainty_colours(uncertainty))
+    mesh.visual = ColorVisuals(mesh, vertex_colors=_viridis()[_entries(uncertainty)])
     mesh.vertex_attributes["uncertainty"] = np.asarray(uncertainty, np.float32)
+
+
+def _entries(uncertainty: np.ndarray) -> np.ndarray:
+    """The entries (...,) uint8 of the table for p(uncertain) (...,) in [0, 1]."""
+    return np.clip(np.round(np.asarray(uncertainty) * 255), 0, 255).astype(np.uint8)
+
+
+@lru_cache(maxsize=1)
+def _viridis() -> np.ndarray:
+    """The table (256, 4) uint8, red, green, blue and opacity: as Trimesh keeps colours."""
+    import cv2
+
+    ramp = np.linspace(VIRIDIS_START, 255, 256).round().astype(np.uint8)[None]
+    colours = cv2.applyColorMap(ramp, cv2.COLORMAP_VIRIDIS)[0, :, ::-1]
+    return np.pad(colours, ((0, 0), (0, 1)), constant_values=255)
