@@ -19,9 +19,10 @@ from reconstruction.scene import reconstruct
 from reconstruction.surface.agreement import agreement_with_depth
 from reconstruction.surface.field import Field, window_of
 from reconstruction.surface.meshing import extract_mesh
-from reconstruction.surface.neighbours import beside, closed, nodes_of_cells, range_in_cells, upsample
+from reconstruction.surface.neighbours import beside, closed, range_in_cells
 from reconstruction.surface.reading import FAR
-from reconstruction.surface.seen_cells import CORNERS
+from reconstruction.surface.refined import interpolated, nodes_of_cells, spread
+from reconstruction.surface.seen_cells import cells_with
 from reconstruction.surface.seen_surface import SeenSurface
 from reconstruction.surface.smooth_depth import surface_planes
 from tools.evaluation.handles import handles_and_parts
@@ -152,10 +153,13 @@ def test_without_fusion_the_surface_is_the_map_s() -> None:
 def test_upsampling_is_linear() -> None:
     grid = np.stack(np.meshgrid(*(np.arange(n) for n in (3, 4, 5)), indexing="ij")).astype(np.float32)
     values = 2 * grid[0] - grid[1] + 0.5 * grid[2] + 1
-    fine = upsample(values, 3)
-    assert fine.shape == (7, 10, 13)
-    where = np.stack(np.meshgrid(*(np.arange(n) / 3 for n in fine.shape), indexing="ij"))
+    shape = spread(values, 3).shape
+    assert shape == (7, 10, 13)
+    nodes = np.arange(np.prod(shape))
+    where = np.stack(np.unravel_index(nodes, shape)) / 3
+    fine = interpolated(values, 3, nodes)
     np.testing.assert_allclose(fine, 2 * where[0] - where[1] + 0.5 * where[2] + 1, atol=1e-5)
+    np.testing.assert_array_equal(spread(values, 3).reshape(-1), values[tuple(where.astype(int))])
 
 
 @pytest.mark.parametrize("shape", [(7, 5, 6), (2, 9, 3)])
@@ -163,12 +167,11 @@ def test_neighbours_on_the_flat_array_are_those_of_the_lattice(shape: tuple[int,
     """Nothing is carried over from one row to the next, on borders either."""
     rng = np.random.default_rng(0)
     nodes, values = rng.random(shape) < 0.2, rng.normal(size=shape).astype(np.float32)
-    cube, cross = np.ones((3, 3, 3), bool), ndimage.generate_binary_structure(3, 1)
+    cube = np.ones((3, 3, 3), bool)
     assert np.array_equal(beside(nodes), ndimage.binary_dilation(nodes, cube))
-    assert np.array_equal(beside(nodes, corners=False), ndimage.binary_dilation(nodes, cross))
     assert np.array_equal(closed(values), ndimage.grey_closing(values, 3))
     corners = [
-        values[i : shape[0] - 1 + i, j : shape[1] - 1 + j, k : shape[2] - 1 + k] for i, j, k in CORNERS
+        values[i : shape[0] - 1 + i, j : shape[1] - 1 + j, k : shape[2] - 1 + k] for i, j, k in np.ndindex(2, 2, 2)
     ]
     least, greatest = range_in_cells(values)
     assert np.array_equal(least, np.min(corners, axis=0))
@@ -177,4 +180,14 @@ def test_neighbours_on_the_flat_array_are_those_of_the_lattice(shape: tuple[int,
     expected = np.zeros([2 * n - 1 for n in shape], bool)
     for i, j, k in np.argwhere(cells):
         expected[2 * i : 2 * i + 3, 2 * j : 2 * j + 3, 2 * k : 2 * k + 3] = whole
-    assert np.array_equal(nodes_of_cells(cells, 2), expected)
+    assert np.array_equal(nodes_of_cells(cells, 2), np.flatnonzero(expected))
+
+
+def test_cells_with_points_are_taken_with_those_across_their_faces() -> None:
+    shape, corner = (7, 5, 6), np.array([0.1, -0.2, 0.3])
+    points = (corner + np.random.default_rng(0).uniform(-1, 7, (40, 3)) * 0.01).astype(np.float32)
+    held = np.zeros([n - 1 for n in shape], bool)
+    cell = np.floor((points - corner) / 0.01).astype(int)
+    held[tuple(cell[((cell >= 0) & (cell < held.shape)).all(1)].T)] = True
+    expected = ndimage.binary_dilation(held, ndimage.generate_binary_structure(3, 1))
+    assert np.array_equal(cells_with(points, corner, 0.01, shape), expected)

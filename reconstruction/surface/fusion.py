@@ -12,16 +12,10 @@ from mapping.compiled import compiled
 from reconstruction.config import FusionConfig
 from reconstruction.surface.field import extent
 from reconstruction.surface.joint_surface import JointEdges
-from reconstruction.surface.neighbours import (
-    beside,
-    closed,
-    nodes_of_cells,
-    range_in_cells,
-    spread,
-    upsample,
-)
+from reconstruction.surface.neighbours import beside, closed, range_in_cells
+from reconstruction.surface.refined import interpolated, nodes_of_cells, spread
 from reconstruction.surface.revolved import RevolvedEdges
-from reconstruction.surface.seen_cells import nodes_of_seen_cells
+from reconstruction.surface.seen_cells import cells_with, nodes_of_seen_cells
 from reconstruction.surface.seen_surface import Edges
 
 PER_METRE = 1000.0
@@ -34,6 +28,7 @@ THIN = 0.4
 """Log odds of nodes that keep things thinner than a cell whole."""
 RULED_OUT = -2.0
 """Nodes so far in free space, as log odds, are not taken to keep a thin thing whole."""
+_PER_METRE, _LIMIT = np.float32(PER_METRE), np.float32(LIMIT)
 
 
 def fuse(
@@ -51,7 +46,7 @@ def fuse(
     axis; edges: of the object's image; points: (N, 3) seen of it [m].
     """
     within = np.concatenate([points, edges.behind(points, config.wall)])
-    seen_cells = _cells_with(within, corner, spacing, log_odds.shape)
+    seen_cells = cells_with(within, corner, spacing, log_odds.shape)
     possible = log_odds > 0
     possible[:-1, :-1, :-1] |= seen_cells
     # Nothing of the object lies elsewhere.
@@ -73,12 +68,11 @@ def fuse(
     lowest, highest = range_in_cells(fused)
     active = (lowest <= 0) & (highest > 0)
     active |= seen_cells & (lowest < NEAR) & (highest > -NEAR)
-    fine = nodes_of_cells(active, config.refine)
+    nodes = nodes_of_cells(active, config.refine)
     # Elsewhere only the sign counts: that of a node of the cell.
     values = spread(fused, config.refine)
-    nodes = np.flatnonzero(fine)
     fine_spacing = spacing / config.refine
-    odds = upsample(raised, config.refine).reshape(-1)[nodes]
+    odds = interpolated(raised, config.refine, nodes)
     odds, cap, _ = _read(odds, nodes, values.shape, corner, fine_spacing, edges, config)
     values.reshape(-1)[nodes] = np.minimum(odds, cap)
     kept = nodes_of_seen_cells(values, corner, fine_spacing, points, 0.0, RULED_OUT, beside=False)
@@ -98,13 +92,25 @@ def _read(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """At flat nodes (M,) of a lattice: log odds (M,) raised by what was seen, the cap, and who nobody saw."""
     reading = edges.read(places(nodes, shape, corner, spacing))
-    raised = np.maximum(odds, PER_METRE * (np.float32(config.wall) - reading.depth))
-    # What was seen of another object is that object's.
-    theirs = PER_METRE * (reading.others - np.float32(config.wall))
-    raised = np.where((reading.others > 0) & (theirs < 0), np.minimum(raised, theirs), raised)
-    unknown = (reading.distance > 0) & (reading.depth > config.wall) & (theirs > 0)
-    cap = np.clip(PER_METRE * reading.distance, -LIMIT, LIMIT)
-    return np.clip(raised, -LIMIT, LIMIT), cap, unknown
+    return _combined(odds, *reading, np.float32(config.wall))
+
+
+@compiled
+def _combined(
+    odds: np.ndarray, distance: np.ndarray, depth: np.ndarray, others: np.ndarray, wall: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The three arrays of `_read` from log odds and the arrays of a reading, (M,) float32 each."""
+    raised, cap = np.empty_like(odds), np.empty_like(odds)
+    unknown = np.empty(len(odds), np.bool_)
+    for i in range(len(odds)):
+        value = max(odds[i], _PER_METRE * (wall - depth[i]))
+        theirs = _PER_METRE * (others[i] - wall)
+        if others[i] > 0 and theirs < 0:  # what was seen of another object is that object's
+            value = min(value, theirs)
+        unknown[i] = distance[i] > 0 and depth[i] > wall and theirs > 0
+        raised[i] = min(max(value, -_LIMIT), _LIMIT)
+        cap[i] = min(max(_PER_METRE * distance[i], -_LIMIT), _LIMIT)
+    return raised, cap, unknown
 
 
 def places(nodes: np.ndarray, shape: tuple[int, ...], corner: np.ndarray, spacing: float) -> np.ndarray:
@@ -139,17 +145,3 @@ def _box_of(nodes: np.ndarray) -> tuple[tuple[slice, ...], np.ndarray]:
 def _cells_of(cells: np.ndarray, box: tuple[slice, ...]) -> np.ndarray:
     """The cells between the nodes of a part of a lattice."""
     return cells[tuple(slice(part.start, part.stop - 1) for part in box)]
-
-
-def _cells_with(points: np.ndarray, corner: np.ndarray, spacing: float, shape: tuple[int, ...]) -> np.ndarray:
-    """Cells (nx - 1, ny - 1, nz - 1) that hold a point, and those beside them."""
-    limit = np.array(shape) - 1
-    inside = np.ones(len(points), bool)
-    flat = np.zeros(len(points), np.int32)
-    for along, start, count in zip(np.ascontiguousarray(points.T), corner, limit):
-        cell = ((along - np.float32(start)) / np.float32(spacing)).astype(np.int32)
-        inside &= (along >= start) & (cell < count)
-        flat = flat * np.int32(count) + cell
-    held = np.zeros(limit, bool)
-    held.reshape(-1)[flat[inside]] = True
-    return beside(held, corners=False)

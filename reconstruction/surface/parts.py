@@ -77,7 +77,8 @@ def _pieces(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             else:
                 number = parent[parent[run]]
             parent[run] = number
-            line[start : ends[run]] = number
+            for k in range(start, ends[run]):
+                line[k] = number
             sizes[number] += ends[run] - start
             start = ends[run]
             run += 1
