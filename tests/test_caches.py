@@ -14,7 +14,7 @@ from solids import reconstructed_tabletop
 
 from mapping.errors import DataError
 from reconstruction.scene import beyond_its_mesh
-from reconstruction.surface.meshing import closed_surface
+from reconstruction.surface.closed_solid import ClosedSolid
 from reconstruction.surface.parts import parts_to_keep
 from sim_scenes import convex_parts
 from sim_scenes.convex_parts import collision_file, is_whole
@@ -200,9 +200,9 @@ def test_a_small_part_of_an_object_is_in_its_mesh_when_it_was_seen(points: int, 
     large = 8.0 - np.linalg.norm(nodes - (10, 10, 10), axis=-1)
     small = 2.0 - np.linalg.norm(nodes - (32, 10, 10), axis=-1)  # 1.6 % of the large part
     seen = np.concatenate([np.tile([3, 10, 10], (100, 1)), np.tile([31, 9, 9], (points, 1))])
-    found = closed_surface(np.maximum(large, small).astype(np.float32), 0.05, seen)
+    found = ClosedSolid.of(np.maximum(large, small).astype(np.float32), 0.05, seen)
     assert found is not None
-    mesh = trimesh.Trimesh(*found, process=False)
+    mesh = trimesh.Trimesh(*found.surface(), process=False)
     assert mesh.is_watertight
     assert (mesh.bounds[1, 0] > 30) == there
 

@@ -7,7 +7,9 @@ import pytest
 from scipy import ndimage
 
 from mapping.compiled import compiled
+from reconstruction.surface.field import extent
 from reconstruction.surface.fusion import places
+from reconstruction.surface.isosurface import crossed_cells, isosurface
 from reconstruction.surface.neighbours import nodes_off
 from reconstruction.surface.parts import label
 
@@ -41,6 +43,30 @@ def test_steps_from_a_solid_are_scipys_chessboard_distance(shape: tuple[int, ...
     solid[0, 0, 0] = True
     np.testing.assert_array_equal(nodes_off(solid), ndimage.distance_transform_cdt(~solid, "chessboard"))
     assert (nodes_off(np.zeros(shape, bool)) == 255).all()
+
+
+@pytest.mark.parametrize("smooth", [0.0, 0.7])
+def test_surfaces_are_those_that_open3d_finds_to_the_byte(smooth: float) -> None:
+    import open3d
+
+    values = 5 * lattice((12, 9, 17), smooth, 4)
+    volume = open3d.core.Tensor.from_numpy(values)
+    surface = open3d.t.geometry.TriangleMesh.create_isosurfaces(volume, [0.0])
+    crossed = crossed_cells(values)
+    vertices, faces = isosurface(values, crossed)
+    # Open3D counts the axes the other way round, which turns the triangles over.
+    np.testing.assert_array_equal(vertices, surface.vertex.positions.numpy()[:, ::-1])
+    np.testing.assert_array_equal(faces, surface.triangle.indices.numpy()[:, ::-1])
+    assert (crossed.vertices, crossed.triangles) == (len(vertices), len(faces))
+
+
+def test_the_extent_holds_all_nodes_above_zero() -> None:
+    values = np.full((4, 5, 6), -1.0, np.float32)
+    assert extent(values) is None
+    assert extent(values > 0) is None
+    values[1, 2, 3] = values[2, 2, 0] = 1
+    expected = (slice(1, 3), slice(2, 3), slice(0, 4))
+    assert extent(values) == extent(values > 0) == extent(np.asfortranarray(values)) == expected
 
 
 def test_places_of_nodes_are_their_indices_times_the_spacing() -> None:

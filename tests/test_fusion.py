@@ -171,7 +171,8 @@ def test_neighbours_on_the_flat_array_are_those_of_the_lattice(shape: tuple[int,
     assert np.array_equal(beside(nodes), ndimage.binary_dilation(nodes, cube))
     assert np.array_equal(closed(values), ndimage.grey_closing(values, 3))
     corners = [
-        values[i : shape[0] - 1 + i, j : shape[1] - 1 + j, k : shape[2] - 1 + k] for i, j, k in np.ndindex(2, 2, 2)
+        values[i : shape[0] - 1 + i, j : shape[1] - 1 + j, k : shape[2] - 1 + k]
+        for i, j, k in np.ndindex(2, 2, 2)
     ]
     least, greatest = range_in_cells(values)
     assert np.array_equal(least, np.min(corners, axis=0))

@@ -7,19 +7,18 @@ import pytest
 import trimesh
 from scipy import ndimage
 
-from reconstruction.surface.meshing import closed_surface
+from reconstruction.surface.closed_solid import ClosedSolid
 from reconstruction.surface.tunnels import in_one_piece, membranes
-from reconstruction.surface.unseen_walls import has_tunnel
 
 SHAPE = (24, 24, 20)
 
 
 def genus(solid: np.ndarray) -> int:
-    found = closed_surface(np.where(solid, 1.0, -1.0).astype(np.float32), 0.05)
+    found = ClosedSolid.of(np.where(solid, 1.0, -1.0).astype(np.float32), 0.05)
     assert found is not None
-    mesh = trimesh.Trimesh(*found, process=False)
+    mesh = trimesh.Trimesh(*found.surface(), process=False)
     assert mesh.is_watertight
-    assert has_tunnel(*found) == (mesh.euler_number < 2)
+    assert found.has_tunnel == (mesh.euler_number < 2)
     return 1 - mesh.euler_number // 2
 
 
@@ -106,9 +105,9 @@ def test_surfaces_do_not_intersect_themselves() -> None:
     noise = ndimage.gaussian_filter(np.random.default_rng(1).normal(size=(10, 10, 10)), 1.0).astype(
         np.float32
     )
-    found = closed_surface(noise, 0.0)
+    found = ClosedSolid.of(noise, 0.0)
     assert found is not None
-    vertices, faces = found
+    vertices, faces = found.surface()
     mesh = open3d.geometry.TriangleMesh(
         open3d.utility.Vector3dVector(vertices), open3d.utility.Vector3iVector(faces)
     )

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from scipy import ndimage
 
+from mapping.compiled import compiled
 from mapping.contramap import ContraMap
 from mapping.threads import map_in_threads
 
@@ -85,17 +86,34 @@ def within(part: Window, window: Window) -> Window:
     return x, y, z
 
 
-def extent(nodes: np.ndarray) -> Window | None:
-    """The smallest window of a lattice that holds all nodes (nx, ny, nz) bool; None where there are none."""
-    if not nodes.size:
+def extent(values: np.ndarray) -> Window | None:
+    """The smallest window of a lattice that holds all nodes (nx, ny, nz) above 0; None where there are none.
+
+    values: numbers, or bool.
+    """
+    first, last = _ends(values.view(np.uint8) if values.dtype == bool else values)
+    if first[0] > last[0]:
         return None
-    above = np.any(nodes, axis=0)
-    held = np.any(nodes.reshape(len(nodes), -1), axis=1), np.any(above, axis=1), np.any(above, axis=0)
-    if not held[0].any():
-        return None
-    ends = (np.flatnonzero(along)[[0, -1]] for along in held)
-    x, y, z = (slice(int(first), int(last) + 1) for first, last in ends)
+    x, y, z = (slice(int(a), int(b) + 1) for a, b in zip(first, last))
     return x, y, z
+
+
+@compiled
+def _ends(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    nx, ny, nz = values.shape
+    first, last = np.array([nx, ny, nz]), np.array([-1, -1, -1])
+    for i in range(nx):
+        for j in range(ny):
+            row, low, high = values[i, j], 0, nz - 1
+            while low < nz and not row[low] > 0:
+                low += 1
+            if low < nz:
+                while not row[high] > 0:
+                    high -= 1
+                first[0], first[1] = min(first[0], i), min(first[1], j)
+                last[0], last[1] = i, max(last[1], j)
+                first[2], last[2] = min(first[2], low), max(last[2], high)
+    return first, last
 
 
 def evaluate_field(

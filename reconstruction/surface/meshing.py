@@ -7,15 +7,14 @@ import trimesh
 from scipy import ndimage
 
 from reconstruction.config import MeshConfig
-from reconstruction.surface.field import OUTSIDE, Field, extent
+from reconstruction.surface.closed_solid import ClosedSolid
+from reconstruction.surface.field import Field
 from reconstruction.surface.fusion import fuse
 from reconstruction.surface.joint_surface import JointSurface
-from reconstruction.surface.parts import label, parts_to_keep
 from reconstruction.surface.revolved import RevolvedEdges
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
 from reconstruction.surface.seen_surface import SeenSurface
-from reconstruction.surface.unseen_walls import MOST_HIDDEN, MOST_OF_ROUND, has_tunnel, with_unseen_walls
-from reconstruction.surface.vertices_apart import apart, off_the_surface
+from reconstruction.surface.unseen_walls import MOST_HIDDEN, MOST_OF_ROUND, with_unseen_walls
 
 RULED_OUT = -4.0
 """Where its log odds are below this, the map is sure that a node is not of the object, seen cell or not."""
@@ -56,63 +55,18 @@ def extract_mesh(
     cells = None
     if seen is not None and config.keep_seen:
         cells = np.floor(((seen - corner) / field.spacing - start) * (field.spacing / spacing)).astype(int)
-    found = closed_surface(log_odds, config.smallest_part, cells)
-    if found is None:
+    solid = ClosedSolid.of(log_odds, config.smallest_part, cells)
+    if solid is None:
         return None
-    if edges is not None and seen is not None and config.fusion.unseen_walls and has_tunnel(*found):
+    if edges is not None and seen is not None and config.fusion.unseen_walls and solid.has_tunnel:
         first = corner + field.spacing * start
         most = MOST_OF_ROUND if known else MOST_HIDDEN
         walled = with_unseen_walls(log_odds, first, spacing, edges, seen, most)
         if walled is not None:
-            found = closed_surface(walled, config.smallest_part, cells) or found
-    vertices, faces = found
+            solid = ClosedSolid.of(walled, config.smallest_part, cells) or solid
+    vertices, faces = solid.surface()
     nodes = vertices * (spacing / field.spacing) + start  # of the map's lattice
     limit = np.array(uncertainty.shape) - 1
     at_vertices = ndimage.map_coordinates(uncertainty, np.clip(nodes, 0, limit).T, order=1)
     mesh = trimesh.Trimesh(corner + field.spacing * nodes, faces, process=False)
     return mesh, np.clip(at_vertices, 0, 1).astype(np.float32)
-
-
-def closed_surface(
-    log_odds: np.ndarray, smallest_part: float, cells: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Vertices (V, 3), in nodes, and triangles (F, 3) of the closed surface where log odds cross zero.
-
-    Parts smaller than `smallest_part` of the largest are dropped, unless they were seen; cells: (N, 3), those
-    of seen points. Voids are filled; None without any inside.
-    """
-    import open3d
-
-    occupied = _occupied_box(log_odds)
-    if occupied is None:
-        return None
-    # Nothing but outside lies beyond: the steps that follow work on the occupied part alone, framed.
-    log_odds = np.pad(log_odds[occupied], 1, constant_values=np.float32(OUTSIDE))
-    first = np.array([part.start - 1 for part in occupied])
-    parts, sizes = label(log_odds)
-    kept = parts_to_keep(parts, sizes, smallest_part, None if cells is None else cells - first)
-    if len(kept) < len(sizes) - 1:
-        dropped = np.ones(len(sizes), bool)
-        dropped[kept] = dropped[0] = False
-        log_odds[dropped.take(parts)] = -0.01
-        occupied = _occupied_box(log_odds)
-        assert occupied is not None  # the largest part stays
-        log_odds = np.ascontiguousarray(log_odds[occupied])
-        first += [part.start for part in occupied]
-    volume = open3d.core.Tensor.from_numpy(off_the_surface(log_odds))
-    surface = open3d.t.geometry.TriangleMesh.create_isosurfaces(volume, [0.0])  # flying edges
-    faces = surface.triangle.indices.numpy()
-    if not len(faces):
-        return None  # no more than a touch of the surface
-    # Open3D counts the lattice's axes the other way round, which turns the triangles over.
-    vertices = apart(surface.vertex.positions.numpy())[:, ::-1]
-    return vertices + first, faces[:, ::-1]
-
-
-def _occupied_box(log_odds: np.ndarray) -> tuple[slice, slice, slice] | None:
-    """Index ranges of the nodes with log odds above 0 and, within the lattice, one more node on each side."""
-    found = extent(log_odds > 0)
-    if found is None:
-        return None
-    x, y, z = (slice(max(part.start - 1, 0), part.stop + 1) for part in found)
-    return x, y, z

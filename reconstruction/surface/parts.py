@@ -132,6 +132,20 @@ def parts_to_keep(
     return np.flatnonzero(keep)
 
 
+def drop(values: np.ndarray, parts: np.ndarray, sizes: np.ndarray, kept: np.ndarray) -> None:
+    """Turn the nodes of all parts but those kept to the outside. parts, sizes: as of `label`."""
+    dropped = np.ones(len(sizes), bool)
+    dropped[kept] = dropped[0] = False
+    _drop(values.reshape(-1), parts.reshape(-1), dropped)
+
+
+@compiled
+def _drop(values: np.ndarray, parts: np.ndarray, dropped: np.ndarray) -> None:
+    for node in range(len(values)):
+        if dropped[parts[node]]:
+            values[node] = np.float32(-0.01)
+
+
 @compiled
 def _points_in(parts: np.ndarray, cells: np.ndarray, count: int) -> np.ndarray:
     """How many points lie in cells (N, 3) with a node of each of `count` parts, the last one of a cell's."""

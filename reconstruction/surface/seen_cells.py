@@ -26,7 +26,11 @@ def _mark_cells(held: np.ndarray, points: np.ndarray, corner: np.ndarray, spacin
     for n in range(len(points)):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
         if x >= corner[0] and y >= corner[1] and z >= corner[2]:
-            i, j, k = int((x - first[0]) / spacing), int((y - first[1]) / spacing), int((z - first[2]) / spacing)
+            i, j, k = (
+                int((x - first[0]) / spacing),
+                int((y - first[1]) / spacing),
+                int((z - first[2]) / spacing),
+            )
             if i < nx and j < ny and k < nz:
                 held[i, j, k] = True
                 held[max(i - 1, 0), j, k] = held[min(i + 1, nx - 1), j, k] = True

@@ -38,11 +38,6 @@ FEW = 16
 """One node in so many tells whether there are more than that."""
 
 
-def has_tunnel(vertices: np.ndarray, faces: np.ndarray) -> bool:
-    """Whether a closed surface of one part has a tunnel: its Euler characteristic is below a sphere's."""
-    return len(vertices) - len(faces) / 2 < 2
-
-
 def with_unseen_walls(
     log_odds: np.ndarray,
     corner: np.ndarray,
@@ -56,7 +51,7 @@ def with_unseen_walls(
     Lattice at corner + spacing * (i, j, k) [m, table frame]; edges: of the object's image; seen: (N, 3)
     measured points of it [m]; most_hidden: nodes, with more of which tunnels stay.
     """
-    box = extent(log_odds > 0)
+    box = extent(log_odds)
     if box is None:
         return None
     # A border of empty nodes, and nothing else beyond the solid: walls lie between its parts.

@@ -8,27 +8,37 @@ from __future__ import annotations
 
 import numpy as np
 
+from mapping.compiled import compiled
+
 LEAST_VALUE = np.float32(1e-3)
 """Values nearer to the surface's than this are moved away from it: on a node, vertices of several edges
 would be one."""
-LEAST_GAP = 1e-3
+LEAST_GAP = np.float32(1e-3)
 """Vertices keep this distance from nodes, in spacings: 5 micrometres on a lattice of 5 mm."""
 
 
+@compiled
 def off_the_surface(values: np.ndarray) -> np.ndarray:
     """Values on a lattice, none of them within LEAST_VALUE of the surface's, 0."""
-    return np.where(np.abs(values) < LEAST_VALUE, -LEAST_VALUE, values)
+    moved = np.empty_like(values)
+    before, after = values.reshape(-1), moved.reshape(-1)
+    for node in range(len(before)):
+        after[node] = before[node] if abs(before[node]) >= LEAST_VALUE else -LEAST_VALUE
+    return moved
 
 
+@compiled
 def apart(vertices: np.ndarray) -> np.ndarray:
     """Vertices (V, 3) in lattice coordinates, moved along their edges so that none is nearer to a node than
     LEAST_GAP."""
-    node = np.rint(vertices)
-    offset = vertices - node
-    # On an edge one coordinate lies between nodes; vertices inside of cells have three that do.
-    x, y, z = np.abs(offset).T
-    near = (x < LEAST_GAP) & (y < LEAST_GAP) & (z < LEAST_GAP)
-    node, offset = node[near], offset[near]
-    vertices = vertices.astype(np.float64)
-    vertices[near] = np.where(offset != 0, node + np.copysign(LEAST_GAP, offset), vertices[near])
-    return vertices
+    moved = vertices.astype(np.float64)
+    nodes = np.rint(vertices)
+    offsets = vertices - nodes
+    for v in range(len(vertices)):
+        x, y, z = offsets[v]
+        # On an edge one coordinate lies between nodes; vertices inside of cells have three that do.
+        if abs(x) < LEAST_GAP and abs(y) < LEAST_GAP and abs(z) < LEAST_GAP:
+            for axis in range(3):
+                if offsets[v, axis] != 0:
+                    moved[v, axis] = nodes[v, axis] + np.copysign(LEAST_GAP, offsets[v, axis])
+    return moved
