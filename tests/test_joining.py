@@ -1,4 +1,4 @@
-"""What hangs together: pieces and clusters are those of a search through a graph, numbered as they are met."""
+"""What hangs together: pieces and clusters are those of a search in a graph, numbered as they are met."""
 
 import numpy as np
 import pytest
