@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from perception.camera import Camera
-from perception.clusters import main_clusters
+from perception.clusters import main_cluster
 from perception.config import PerceptionConfig
 from perception.depth_edges import border_pairs, depth_jump
-from perception.grouping import group_by_label
 from perception.joining import connected_pieces
 from perception.observation import SupportPlane
 from perception.quantiles import quantiles
@@ -23,6 +22,7 @@ JOINED_SHARE = 0.5
 def clean_labels(
     points: np.ndarray,
     labels: np.ndarray,
+    measured: dict[int, np.ndarray],
     support: SupportPlane | None,
     camera: Camera,
     config: PerceptionConfig,
@@ -30,18 +30,19 @@ def clean_labels(
 ) -> np.ndarray:
     """Labels (H, W) uint16 with 0 where a labelled pixel is invalid, on the table, or off its object.
 
-    points: (H, W, 3) float32 [m] in the camera frame, NaN where missing. floors: label -> height over the
-    support plane of the support that it stands on [m], 0 where none is given.
+    points: (H, W, 3) float32 [m] in the camera frame, NaN where missing. measured: label -> flat indices of
+    its pixels that are not. floors: label -> height over the support plane of the support that it stands on
+    [m], 0 where none is given.
     """
-    raw = labels.reshape(-1)
-    pixels = np.flatnonzero((raw > 0) & np.isfinite(points[..., 2].reshape(-1)))
-    cleaned = np.zeros_like(raw)
-    if support is not None and pixels.size:
-        pixels = pixels[~_on_table(points, labels, pixels, support, camera, config, floors or {})]
-    if pixels.size:
-        kept = pixels[main_clusters(points, labels, pixels, support, camera, config)]
-        cleaned[kept] = raw[kept]
-    return cleaned.reshape(labels.shape)
+    cleaned = np.zeros_like(labels)
+    for label, pixels in measured.items():
+        if support is not None:
+            floor = (floors or {}).get(label, 0.0)
+            pixels = pixels[~_on_table(points, labels, pixels, support, floor, camera, config)]
+        if pixels.size:
+            own = main_cluster(points, labels, pixels, support, camera, config)
+            cleaned.reshape(-1)[pixels[own]] = label
+    return cleaned
 
 
 def _on_table(
@@ -49,43 +50,38 @@ def _on_table(
     labels: np.ndarray,
     pixels: np.ndarray,
     support: SupportPlane,
+    floor: float,
     camera: Camera,
     config: PerceptionConfig,
-    floors: dict[int, float],
 ) -> np.ndarray:
-    """Which labelled pixels (N,) see their support or what is under it: bleed of the mask."""
-    own, label = points.reshape(-1, 3)[pixels], labels.reshape(-1)[pixels]
-    height = own @ support.normal.astype(np.float32) + np.float32(support.offset)
+    """Which pixels (N,) of a mask see its support or what is under it: bleed of the mask."""
+    own = points.reshape(-1, 3).take(pixels, axis=0)
+    height = own @ support.normal.astype(np.float32)
+    height += np.float32(support.offset)
+    height -= np.float32(floor)
     noise = np.float32(config.depth_noise) * own[:, 2] ** 2
-    limit = np.maximum(np.float32(config.table_margin), 1.5 * noise)
-    for name, mine in group_by_label(label):
-        height[mine] -= np.float32(floors.get(name, 0.0))
-        # Nearly all of a plate or a knife lies within the noise of the table: only what is below can go.
-        if quantiles(height[mine[:: 1 + len(mine) // 2000]], 0.95)[0] < config.flat_height:
-            limit[mine] = -noise[mine]
+    # Nearly all of a plate or a knife lies within the noise of the table: only what is below can go.
+    if quantiles(height[:: 1 + len(height) // 2000], 0.95)[0] < config.flat_height:
+        limit = -noise
+    else:
+        limit = np.maximum(np.float32(config.table_margin), 1.5 * noise)
     low = height < limit
-    if low.any():
-        bottom = low & (height > -config.plane_threshold)
-        if bottom.any():  # a mask may leak over the table's edge and be eroded where it meets the table
-            low &= ~(bottom & _enclosed(points, labels, pixels, bottom, camera, config))
+    bottom = low & (height > -config.plane_threshold)
+    if bottom.any():  # a mask may leak over the table's edge and be eroded where it meets the table
+        low[bottom] = ~_enclosed(points, labels, pixels[bottom], camera, config)
     return low
 
 
 def _enclosed(
-    points: np.ndarray,
-    labels: np.ndarray,
-    pixels: np.ndarray,
-    bottom: np.ndarray,
-    camera: Camera,
-    config: PerceptionConfig,
+    points: np.ndarray, labels: np.ndarray, bottom: np.ndarray, camera: Camera, config: PerceptionConfig
 ) -> np.ndarray:
-    """Which of the table-height pixels (N,) are the inside of a bowl or plate.
+    """Which table-height pixels of a mask, flat indices (N,), are the inside of a bowl or plate: (N,) bool.
 
     The object surrounds them and runs on into them without a jump. The table seen through
     a handle is surrounded too, but behind a jump.
     """
     mask = np.zeros(labels.shape, bool)
-    mask.reshape(-1)[pixels[bottom]] = True
+    mask.reshape(-1)[bottom] = True
     part = window_around(mask, 1)
     raw, depth = labels[part].reshape(-1), points[part][..., 2].reshape(-1)
     same_right = labels[part][:, 1:] == labels[part][:, :-1]
@@ -101,4 +97,4 @@ def _enclosed(
         np.bincount(of, weights=joined, minlength=count) >= JOINED_SHARE * total
     )
     mask[part] = inside[region]
-    return mask.reshape(-1)[pixels]
+    return mask.reshape(-1)[bottom]

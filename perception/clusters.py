@@ -7,7 +7,6 @@ import numpy as np
 from perception.camera import Camera
 from perception.config import PerceptionConfig
 from perception.depth_edges import border_pairs, depth_jump
-from perception.grouping import group_by_label
 from perception.joining import connected_points
 from perception.observation import SupportPlane
 
@@ -21,7 +20,7 @@ NEAR_SHARE = 0.5
 """A piece without leak is taken back within this share of the main cluster's diagonal."""
 
 
-def main_clusters(
+def main_cluster(
     points: np.ndarray,
     labels: np.ndarray,
     pixels: np.ndarray,
@@ -29,58 +28,40 @@ def main_clusters(
     camera: Camera,
     config: PerceptionConfig,
 ) -> np.ndarray:
-    """Which pixels (N,) belong to the main 3D cluster of their label or to a parted piece of the object.
+    """Which pixels (N,) of one mask belong to its main 3D cluster or to a parted piece of the object.
 
     points: (H, W, 3) float32 [m] in the camera frame. labels: (H, W) as given.
-    pixels: (N,) flat indices of the labelled pixels to judge.
+    pixels: (N,) ascending flat indices of the mask's pixels to judge.
     """
     flat, raw = points.reshape(-1, 3), labels.reshape(-1)
-    own, label = flat.take(pixels, axis=0), raw[pixels]
-    cluster = _euclidean_clusters(own, label, camera, config)
+    own, label = flat.take(pixels, axis=0), int(raw[pixels[0]])
+    cluster = _euclidean_clusters(own, camera, config)
     size = np.bincount(cluster)
-    owner = np.zeros(len(size), label.dtype)
-    owner[cluster] = label
-    largest = np.zeros(int(label.max()) + 1, np.int64)
-    np.maximum.at(largest, owner, size)
-    # Ties go to the piece met first in the image; clusters are numbered in that order.
-    main = np.zeros(len(largest), np.int64)
-    full = np.flatnonzero(size == largest[owner])
-    main[owner[full[::-1]]] = full[::-1]
     keep = np.zeros(len(size), bool)
-    keep[main[np.unique(owner)]] = True
-    candidate = np.flatnonzero(
-        ~keep & (size >= config.minimum_pixels) & (size >= PIECE_SHARE * largest[owner])
-    )
+    keep[size.argmax()] = True  # ties go to the piece met first in the image
+    candidate = np.flatnonzero(~keep & (size >= config.minimum_pixels) & (size >= PIECE_SHARE * size.max()))
     if candidate.size:
         leak = _leak_share(flat, labels, pixels, cluster, support, camera, config)
         for piece in candidate[np.argsort(-size[candidate], kind="stable")]:
-            name = int(owner[piece])
-            core, part = own[(keep[cluster]) & (label == name)], own[cluster == piece]
+            core, part = own[keep[cluster]], own[cluster == piece]
             start, end = closest_pair(core, part)
             gap = float(np.linalg.norm(end - start))
             near = NEAR_SHARE * float(np.linalg.norm(np.ptp(np.quantile(core, [0.05, 0.95], axis=0), axis=0)))
             if gap > config.split_gap:
                 continue
             keep[piece] = (leak[piece] < LEAK_SHARE and gap < near) or covered(
-                start, end, name, flat, raw, camera, config
+                start, end, label, flat, raw, camera, config
             )
     return keep[cluster]
 
 
-def _euclidean_clusters(
-    points: np.ndarray, label: np.ndarray, camera: Camera, config: PerceptionConfig
-) -> np.ndarray:
-    """Cluster number (N,) of points (N, 3): connected voxels of one label, numbered in image order."""
+def _euclidean_clusters(points: np.ndarray, camera: Camera, config: PerceptionConfig) -> np.ndarray:
+    """Cluster number (N,) of points (N, 3): connected voxels, numbered in image order."""
     # Far away, pixels and noise spread wider than the gap asked for, so the voxel grows with depth.
     pixel = 3.0 / min(camera.K[0, 0], camera.K[1, 1])
-    groups = group_by_label(label)
-    scale = np.empty(len(groups), np.float32)
-    number = np.empty(int(label.max()) + 1, np.int64)
-    for index, (name, mine) in enumerate(groups):
-        z = float(np.median(points[mine[:: 1 + len(mine) // 1000], 2]))
-        scale[index] = 1 / max(config.cluster_gap / 1.5, pixel * z, 2 * config.depth_noise * z * z)
-        number[name] = index
-    return connected_points(points, number[label], scale)
+    z = float(np.median(points[:: 1 + len(points) // 1000, 2]))
+    side = max(config.cluster_gap / 1.5, pixel * z, 2 * config.depth_noise * z * z)
+    return connected_points(points, np.float32(1 / side))
 
 
 def _leak_share(

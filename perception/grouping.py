@@ -7,6 +7,13 @@ import numpy as np
 from mapping.compiled import compiled
 
 
+def masks_of(labels: np.ndarray) -> dict[int, np.ndarray]:
+    """Label -> ascending flat indices of its pixels in labels (H, W); labels in the order they are met."""
+    raw = labels.reshape(-1)
+    labelled = np.flatnonzero(raw > 0)
+    return {label: labelled[group] for label, group in group_by_label(raw[labelled])}
+
+
 def group_by_label(label: np.ndarray) -> list[tuple[int, np.ndarray]]:
     """(label, ascending indices) of each value in label (N,) >= 0, in the order the values are first met.
 

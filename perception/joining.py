@@ -48,12 +48,12 @@ def _pieces(joined_right: np.ndarray, joined_down: np.ndarray, mask: np.ndarray)
 
 
 @compiled
-def connected_points(points: np.ndarray, group: np.ndarray, scale: np.ndarray) -> np.ndarray:
+def connected_points(points: np.ndarray, scale: float) -> np.ndarray:
     """Number (N,) int64 of the cluster each of points (N, 3) belongs to: voxels that touch, even by a corner.
 
-    group: (N,) int64, of which points of one cluster are; scale: (G,) voxels of each group in a metre.
+    scale: voxels in a metre.
     """
-    key, steps = _voxel_keys(points, group, scale)
+    key, steps = _voxel_keys(points, scale)
     mask = 1
     while mask < 2 * len(key):
         mask *= 2
@@ -79,13 +79,13 @@ def connected_points(points: np.ndarray, group: np.ndarray, scale: np.ndarray) -
 
 
 @compiled
-def _voxel_keys(points: np.ndarray, group: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _voxel_keys(points: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:
     """A number (N,) for the voxel of each point, and what is added to it (13,) for half of its neighbours."""
     cells = np.empty((3, len(points)), np.int64)
     for axis in range(3):
         for point in range(len(points)):
-            cells[axis, point] = np.floor(points[point, axis] * scale[group[point]])
-    key = group.copy()
+            cells[axis, point] = np.floor(points[point, axis] * scale)
+    key = np.zeros(len(points), np.int64)
     rows = np.ones(3, np.int64)
     for axis in range(3):
         low = cells[axis].min()

@@ -12,7 +12,7 @@ from perception.cleaning import clean_labels
 from perception.config import PerceptionConfig
 from perception.depth_edges import remove_flying_pixels
 from perception.frame import Frame
-from perception.grouping import group_by_label
+from perception.grouping import masks_of
 from perception.observation import (
     NO_PIXELS,
     OTHER,
@@ -34,6 +34,8 @@ LITTLE_MEASURED = 0.5
 """An object less of whose mask is measured than this is named in a note."""
 NOISY = 0.25
 """What is smaller than its depth noise over this share has no shape that could be mapped."""
+SCALE_POINTS = 2000
+"""Visible points of an object from which its size and distance are taken."""
 BEYOND = 0.005
 """A guessed surface lies no farther than this beyond 98 % of what was measured of its object [m]."""
 HORIZONTAL_LEAST = 0.15
@@ -75,25 +77,31 @@ def observe(frame: Frame, config: PerceptionConfig | None = None, seed: int = 0)
         if frame.labels is not None:
             labels, frame, found_odd = split_numbers(frame, points, labels, regions, support, config)
             notes += found_odd
-        levels = find_levels(points, labels, support, camera, config)
-    cleaned = clean_labels(points, labels, support, camera, config, levels.floors)
-    found, skipped = _split_objects(frame, labels, cleaned, points, config)
+    masks = masks_of(labels)
+    measured = _measured(masks, depth)
+    if support is not None:
+        levels = find_levels(points, labels, measured, support, camera, config)
+    cleaned = clean_labels(points, labels, measured, support, camera, config, levels.floors)
+    found, skipped = _split_objects(frame, masks, cleaned, points, config)
     skipped += aside
     if not found:
         reasons = "; ".join(f"{item.name}: {item.reason}" for item in skipped)
         raise FrameError(f"{frame.source}: no object is left to map ({reasons})")
     for item in skipped:
-        labels = np.where(cleaned == item.label, labels.dtype.type(0), labels)  # an obstacle like any other
-        cleaned[cleaned == item.label] = 0
-    unmeasured, guess = silhouettes(depth, labels, cleaned, config.minimum_pixels)
+        if (mask := masks.get(item.label)) is not None:  # an obstacle like any other
+            own = cleaned.reshape(-1)[mask] > 0
+            masks[item.label] = mask[~own]
+            cleaned.reshape(-1)[mask[own]] = 0
+    unmeasured, guess = silhouettes(depth, masks, cleaned, config.minimum_pixels)
     depth, points = _without(depth, points, unmeasured)
     flat = points.reshape(-1, 3)
-    T_table_camera = _table_frame(support, np.concatenate([flat[pixels] for _, pixels, _ in found]))
+    surfaces = [flat.take(pixels, axis=0) for _, pixels, _ in found]
+    T_table_camera = _table_frame(support, np.concatenate(surfaces))
     objects = []
-    for label, pixels, labelled in found:
+    for (label, pixels, labelled), surface in zip(found, surfaces):
         silhouette = unmeasured.get(label, NO_PIXELS)
         guessed = silhouette[np.isfinite(guess.reshape(-1)[silhouette])]
-        own = transform(T_table_camera, flat[pixels])
+        own = transform(T_table_camera, surface)
         rays = camera.rays.reshape(-1, 3)[guessed]
         places = transform(T_table_camera, rays * guess.reshape(-1)[guessed, None])
         stray = _astray(own, places) if len(places) else np.zeros(0, bool)
@@ -167,41 +175,50 @@ def _obstacles(
 ) -> OtherSurface:
     """What is seen of obstacles near objects. points: (H, W, 3) [m] in the camera frame; seen: (H, W)."""
     pixels = np.flatnonzero(seen == OTHER)
-    local = transform(T_table_camera, points.reshape(-1, 3)[pixels])
+    local = transform(T_table_camera, points.reshape(-1, 3).take(pixels, axis=0))
     near = near_boxes(local, [item.bounds for item in objects], config.other_reach)
     wide = bulky(seen, points[..., 2], float(camera.K[0, 0])).reshape(-1)[pixels]
     return OtherSurface(local[near], pixels[near], wide[near])
 
 
+def _measured(masks: dict[int, np.ndarray], depth: np.ndarray) -> dict[int, np.ndarray]:
+    """The pixels of each mask that have a depth, of those that have any. depth: (H, W) [m]."""
+    flat = depth.reshape(-1)
+    measured = {label: pixels[np.isfinite(flat.take(pixels))] for label, pixels in masks.items()}
+    return {label: pixels for label, pixels in measured.items() if len(pixels)}
+
+
 def _split_objects(
-    frame: Frame, labels: np.ndarray, cleaned: np.ndarray, points: np.ndarray, config: PerceptionConfig
+    frame: Frame,
+    masks: dict[int, np.ndarray],
+    cleaned: np.ndarray,
+    points: np.ndarray,
+    config: PerceptionConfig,
 ) -> tuple[list[tuple[int, np.ndarray, int]], list[Skipped]]:
     """(label, pixels, labelled count) of each object and the skipped ones, in the order of the raw image."""
-    raw, clean = labels.reshape(-1), cleaned.reshape(-1)
-    labelled = np.flatnonzero(raw > 0)
-    kept = np.flatnonzero(clean > 0)
-    pixels_of = {label: kept[group] for label, group in group_by_label(clean[kept])}
+    kept = cleaned.reshape(-1) > 0
     found, skipped = [], []
-    for label, group in group_by_label(raw[labelled]):
-        pixels = pixels_of.get(label, kept[:0])
+    for label, mask in masks.items():
+        pixels = mask[kept.take(mask)]
         if len(pixels) < config.minimum_pixels:
             reason = (
-                f"{len(pixels)} valid pixels of {len(group)} labelled, "
+                f"{len(pixels)} valid pixels of {len(mask)} labelled, "
                 f"at least {config.minimum_pixels} are needed"
             )
             skipped.append(Skipped(label, frame.name_of(label), reason))
-        elif (too := _out_of_scale(points.reshape(-1, 3)[pixels], config)) is not None:
+            continue
+        few = pixels[:: 1 + len(pixels) // SCALE_POINTS]
+        if (too := _out_of_scale(points.reshape(-1, 3)[few], config)) is not None:
             skipped.append(Skipped(label, frame.name_of(label), too))
         else:
-            found.append((label, pixels, len(group)))
+            found.append((label, pixels, len(mask)))
     return found, skipped
 
 
 def _out_of_scale(points: np.ndarray, config: PerceptionConfig) -> str | None:
-    """Why visible points (N, 3) [m] of an object are too large or too far to be mapped, or None."""
-    few = points[:: 1 + len(points) // 2000]
-    low, high = column_quantiles(few, 0.01, 0.99)
-    size, distance = float((high - low).max()), float(np.median(few[:, 2]))
+    """Why an object with visible points (N, 3) [m] is too large or too far to be mapped, or None."""
+    low, high = column_quantiles(points, 0.01, 0.99)
+    size, distance = float((high - low).max()), float(np.median(points[:, 2]))
     if size > config.largest_object:
         return f"{size:.2f} m in size, at most {config.largest_object:g} m are mapped (largest_object)"
     noise = config.depth_noise * distance**2

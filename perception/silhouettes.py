@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from perception.grouping import group_by_label
 from perception.thin_plate import block_means, thin_plate
 
 SEEN_THROUGH = 0.25
@@ -23,21 +22,20 @@ PLATE_BLOCKS = 120
 
 
 def silhouettes(
-    depth: np.ndarray, labels: np.ndarray, cleaned: np.ndarray, least: int
+    depth: np.ndarray, masks: dict[int, np.ndarray], cleaned: np.ndarray, least: int
 ) -> tuple[dict[int, np.ndarray], np.ndarray]:
     """Pixels (flat indices) of each label that belong to its silhouette alone, and the depth guessed there.
 
-    depth: (H, W) float32 [m], NaN where missing; labels: (H, W) as given; cleaned: (H, W), 0 where a pixel is
-    not its object's surface; least: an object with fewer surface pixels has none. The guess (H, W) float32 is
-    NaN wherever nothing is guessed: it is taken inside an object's outline only, from its surface around.
+    depth: (H, W) float32 [m], NaN where missing; masks: label -> ascending flat indices of its pixels, as
+    given; cleaned: (H, W), 0 where a pixel is not its object's surface; least: an object with fewer surface
+    pixels has none. The guess (H, W) float32 is NaN wherever nothing is guessed: it is taken inside an
+    object's outline only, from its surface around.
     """
-    raw, kept = labels.reshape(-1), cleaned.reshape(-1)
+    kept = cleaned.reshape(-1)
     measured = np.isfinite(depth).reshape(-1)
     guess = np.full(depth.shape, np.nan, np.float32)
     found: dict[int, np.ndarray] = {}
-    labelled = np.flatnonzero(raw > 0)
-    for label, group in group_by_label(raw[labelled]):
-        whole = labelled[group]
+    for label, whole in masks.items():
         surface = kept[whole] > 0
         own, lost = whole[surface], whole[~surface]
         seen = measured[lost]

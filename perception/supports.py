@@ -12,7 +12,6 @@ import numpy as np
 
 from perception.camera import Camera
 from perception.config import PerceptionConfig
-from perception.grouping import group_by_label
 from perception.observation import SupportPlane
 from perception.quantiles import quantiles
 
@@ -58,11 +57,17 @@ class Levels:
 
 
 def find_levels(
-    points: np.ndarray, labels: np.ndarray, support: SupportPlane, camera: Camera, config: PerceptionConfig
+    points: np.ndarray,
+    labels: np.ndarray,
+    measured: dict[int, np.ndarray],
+    support: SupportPlane,
+    camera: Camera,
+    config: PerceptionConfig,
 ) -> Levels:
     """Which level each labelled object stands on.
 
-    points: (H, W, 3) float32 [m] in the camera frame, NaN where missing. labels: (H, W), as given.
+    points: (H, W, 3) float32 [m] in the camera frame, NaN where missing. labels: (H, W), as given. measured:
+    label -> flat indices of its measured pixels.
     """
     cells, height = _level_cells(points, labels, support, camera, config)
     levels = _levels(cells, height, config)
@@ -70,10 +75,8 @@ def find_levels(
     flat = cells @ axes.T
     floors: dict[int, float] = {}
     found: set[int] = set()
-    raw = labels.reshape(-1)
-    measured = np.flatnonzero((raw > 0) & np.isfinite(points[..., 2].reshape(-1)))
-    for label, mine in group_by_label(raw[measured]):
-        own = points.reshape(-1, 3)[measured[mine[:: 1 + len(mine) // OBJECT_POINTS]]].astype(np.float64)
+    for label, pixels in measured.items():
+        own = points.reshape(-1, 3)[pixels[:: 1 + len(pixels) // OBJECT_POINTS]].astype(np.float64)
         own_height = own @ support.normal + support.offset
         level = _level_under(own @ axes.T, own_height, levels, flat, height)
         if level is not None:
