@@ -63,7 +63,7 @@ def find_support_plane(
             background = np.flatnonzero(measured)  # the masks cover the table, too
     if background.size < config.minimum_pixels:
         return None
-    around = flat[_thin(background, FIT_POINTS, rng)]
+    around = flat.take(_thin(background, FIT_POINTS, rng), axis=0)
     groups = _object_points(flat, labels, objects, rng)
     near = _near_objects(around, groups, config.plane_reach)
     if len(near) < config.plane_points // 4:
@@ -91,7 +91,7 @@ def _object_points(
     if labels is None or objects.size == 0:
         return []
     objects = _thin(objects, FIT_POINTS, rng)
-    return [flat[objects[group]] for _, group in group_by_label(labels.reshape(-1)[objects])]
+    return [flat.take(objects[group], axis=0) for _, group in group_by_label(labels.reshape(-1)[objects])]
 
 
 def _near_objects(around: np.ndarray, groups: list[np.ndarray], reach: float) -> np.ndarray:
@@ -115,8 +115,10 @@ def _best_plane(
     """Peel planes off one by one and keep the one with the most credit; refined and facing the camera."""
     rest = near[_thin(np.arange(len(near)), config.plane_points, rng)]
     total = len(rest)
+    columns = np.ascontiguousarray(near.T, np.float64)
     best: tuple[float, np.ndarray, float] | None = None
     touched: tuple[float, np.ndarray, float] | None = None
+    hovering = False
     for _ in range(config.plane_candidates):
         if len(rest) < max(10, config.plane_minimum_share * total):
             break
@@ -125,22 +127,20 @@ def _best_plane(
         share = inlier.sum() / total
         if share < config.plane_minimum_share:
             break
-        refined = _refine(near, normal, offset, config.plane_threshold)
+        refined = _refine(columns, normal, offset, config.plane_threshold)
         rest = rest[~inlier]
         if refined is None:
             continue
         normal, offset = refined
-        carries = (
-            _resting(groups, normal, offset, config) if groups else _carrying(near, normal, offset, config)
-        )
+        rests, contact = _resting(groups, normal, offset, config)
+        carries = rests if groups else _carrying(near, normal, offset, config)
         credit = share * carries * _uprightness(normal)
         if credit < MINIMUM_CREDIT:
             continue
         if not groups:
             credit /= offset  # of a table and the floor beneath it, the nearer one is meant
         if best is None or credit > best[0]:
-            best = (credit, normal, offset)
-        contact = _resting(groups, normal, offset, config, hidden_feet=False) if groups else 0.0
+            best, hovering = (credit, normal, offset), contact < HOVERING
         if contact > CONTACT and _uprightness(normal) > UPRIGHT and (touched is None or contact > touched[0]):
             touched = (contact, normal, offset)
     if best is None:
@@ -148,7 +148,6 @@ def _best_plane(
     _, normal, offset = best
     if touched is None or abs(float(touched[1] @ normal)) > ACROSS:
         return normal, offset
-    hovering = _resting(groups, normal, offset, config, hidden_feet=False) < HOVERING
     return touched[1:] if hovering else (normal, offset)
 
 
@@ -165,20 +164,25 @@ def _ransac(
 
 
 def _refine(
-    points: np.ndarray, normal: np.ndarray, offset: float, threshold: float
+    columns: np.ndarray, normal: np.ndarray, offset: float, threshold: float
 ) -> tuple[np.ndarray, float] | None:
-    """Least squares on the inliers, tightened once; None when they are a sliver or no plane at all."""
+    """Least squares on the inliers, tightened once; None when they are a sliver or no plane at all.
+
+    columns: (3, N) float64 [m], in which sums over all points take a tenth of the time.
+    """
     for limit in (threshold, 0.6 * threshold):
-        inliers = points[np.abs(points @ normal + offset) < limit].astype(np.float64)
-        if len(inliers) < 3:
+        inliers = columns.compress(np.abs(normal @ columns + offset) < limit, axis=1)
+        count = inliers.shape[1]
+        if count < 3:
             return None
-        centre = inliers.mean(0)
-        spread, axes = np.linalg.eigh(np.cov((inliers - centre).T))
+        centre = inliers.mean(1)
+        inliers -= centre[:, None]
+        spread, axes = np.linalg.eigh(inliers @ inliers.T / (count - 1))
         if spread[1] < MINIMUM_SPREAD**2:
             return None
         normal = axes[:, 0]
         offset = -float(normal @ centre)
-    distance = np.abs(points @ normal + offset)
+    distance = np.abs(normal @ columns + offset)
     if (distance < threshold).sum() < LEAST_PEAK * (distance < 2 * threshold).sum():
         return None
     # The camera is at the origin, on the positive side of the plane it sees.
@@ -186,28 +190,24 @@ def _refine(
 
 
 def _resting(
-    groups: list[np.ndarray],
-    normal: np.ndarray,
-    offset: float,
-    config: PerceptionConfig,
-    hidden_feet: bool = True,
-) -> float:
+    groups: list[np.ndarray], normal: np.ndarray, offset: float, config: PerceptionConfig
+) -> tuple[float, float]:
     """How well the objects stand on the plane, in 0..1: above it, and with their lowest points near it.
 
-    hidden_feet: allow for feet that nobody can see from straight above.
+    The second figure does not allow for feet that nobody can see from straight above. Without objects, 0.
     """
-    scores = []
+    scores = [(0.0, 0.0)] if not groups else []
     for group in groups:
         height = group @ normal + offset
-        above = float((height > -config.plane_threshold).mean())
+        above = max(0.0, 2 * float((height > -config.plane_threshold).mean()) - 1)
         gap = max(0.0, float(quantiles(height, 0.05)[0]))
         middle = group.mean(0)
         steep = abs(float(middle @ normal)) / max(float(np.linalg.norm(middle)), 1e-9)
         # Seen from straight above, an object hides its own foot: a gap says nothing then.
-        hidden = max(0.0, steep - STEEP) / (1 - STEEP) if hidden_feet else 0.0
-        rest = REST_LENGTH * (1 + HIDDEN_FOOT * hidden)
-        scores.append(max(0.0, 2 * above - 1) * np.exp(-((gap / rest) ** 2)))
-    return float(np.mean(scores))
+        hidden = max(0.0, steep - STEEP) / (1 - STEEP)
+        rests = [REST_LENGTH * (1 + HIDDEN_FOOT * allowed) for allowed in (hidden, 0.0)]
+        scores.append(tuple(above * float(np.exp(-((gap / rest) ** 2))) for rest in rests))
+    return tuple(np.mean(scores, axis=0).tolist())
 
 
 def _carrying(points: np.ndarray, normal: np.ndarray, offset: float, config: PerceptionConfig) -> float:
