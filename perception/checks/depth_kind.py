@@ -13,6 +13,7 @@ import numpy as np
 from mapping.errors import FrameError
 from perception.camera import Camera
 from perception.checks.label_regions import LabelRegion
+from perception.quantiles import quantiles
 
 SAMPLE = 800
 """Pixels looked at."""
@@ -65,12 +66,13 @@ def check_depth_kind(
     """Raise FrameError when depth (H, W) [m] is the ray's length, disparity or a z-buffer; see the module."""
     if trusted:
         return
-    measured = np.flatnonzero(np.isfinite(depth.reshape(-1)))
-    values = depth.reshape(-1)[measured]
-    if values.max() == 1 and values.min() > BUFFER_LEAST and (values == 1).sum() > BUFFER_PIXELS:
-        raise FrameError(
-            f"{source}: depth ends at exactly 1 and begins at {values.min():.3g}: {_sentence('inverse')}"
-        )
+    if np.count_nonzero(depth == 1) > BUFFER_PIXELS and np.nanmax(depth) == 1:
+        nearest = float(np.nanmin(depth))
+        if nearest > BUFFER_LEAST:
+            raise FrameError(
+                f"{source}: depth ends at exactly 1 and begins at {nearest:.3g}: {_sentence('inverse')}"
+            )
+    measured = np.flatnonzero(np.isfinite(depth))
     if len(measured) > SAMPLE:
         measured = measured[rng.integers(len(measured), size=SAMPLE)]  # a pixel twice does no harm
     if len(measured) < 200:
@@ -85,7 +87,7 @@ def check_depth_kind(
         fit = _largest_plane(pixel, other, rng)
         if fit.inside.mean() < LEAST_SHARE or fit.error > FLAT:
             continue
-        low, high = np.quantile(value[fit.inside], [0.05, 0.95])
+        low, high = quantiles(value[fit.inside], 0.05, 0.95)
         if kind == "inverse" and high < (1 + BENDS) * low:
             continue
         bent = _error(pixel[fit.inside], straight[fit.inside])
@@ -121,14 +123,14 @@ def _sentence(kind: str) -> str:
 
 def _largest_plane(pixel: np.ndarray, values: np.ndarray, rng: np.random.Generator) -> Fit:
     """The largest set of pixels on which values (N,) are affine in pixel (N, 3)."""
-    low, high = np.quantile(values, [0.1, 0.9])
+    low, high = quantiles(values, 0.1, 0.9)
     scaled = (values - low) / max(high - low, 1e-9)
     picks = pixel[(chosen := rng.integers(len(values), size=(TRIALS, 3)))]
     solvable = np.abs(np.linalg.det(picks)) > 1e-3
     if not solvable.any():
         return Fit(np.zeros(len(values), bool), np.inf)
     planes = np.linalg.solve(picks[solvable], scaled[chosen[solvable]][..., None])[..., 0]
-    count = (np.abs(pixel @ planes.T - scaled[:, None]) < TOLERANCE).sum(0)
+    count = np.count_nonzero(np.abs(planes @ pixel.T - scaled) < TOLERANCE, axis=1)
     plane = planes[int(np.argmax(count))]
     inside = np.abs(pixel @ plane - scaled) < TOLERANCE
     for _ in range(3):
