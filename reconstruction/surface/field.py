@@ -104,10 +104,13 @@ def _ends(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     first, last = np.array([nx, ny, nz]), np.array([-1, -1, -1])
     for i in range(nx):
         for j in range(ny):
-            row, low, high = values[i, j], 0, nz - 1
-            while low < nz and not row[low] > 0:
-                low += 1
-            if low < nz:
+            row, some = values[i, j], np.uint8(0)
+            for k in range(nz):  # without a way out: eight or more nodes at a time
+                some |= np.uint8(row[k] > 0)
+            if some:
+                low, high = 0, nz - 1
+                while not row[low] > 0:
+                    low += 1
                 while not row[high] > 0:
                     high -= 1
                 first[0], first[1] = min(first[0], i), min(first[1], j)

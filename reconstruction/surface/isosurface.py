@@ -27,7 +27,7 @@ class Crossed(NamedTuple):
 
 
 def crossed_cells(values: np.ndarray) -> Crossed:
-    """The cells that the surface in (nx, ny, nz) float32 crosses. The lattice's border is outside: below 0."""
+    """The cells that the surface in (nx, ny, nz) float32 crosses; the lattice's border is below 0, outside."""
     return Crossed(*_crossed(values, _vertex_counts(), _triangles()[0]))
 
 
