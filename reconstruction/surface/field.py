@@ -101,22 +101,23 @@ def extent(values: np.ndarray) -> Window | None:
 @compiled
 def _ends(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     nx, ny, nz = values.shape
-    first, last = np.array([nx, ny, nz]), np.array([-1, -1, -1])
+    left, front, low, right, back, high = nx, ny, nz, -1, -1, -1
     for i in range(nx):
         for j in range(ny):
             row, some = values[i, j], np.uint8(0)
             for k in range(nz):  # without a way out: eight or more nodes at a time
                 some |= np.uint8(row[k] > 0)
             if some:
-                low, high = 0, nz - 1
-                while not row[low] > 0:
-                    low += 1
-                while not row[high] > 0:
-                    high -= 1
-                first[0], first[1] = min(first[0], i), min(first[1], j)
-                last[0], last[1] = i, max(last[1], j)
-                first[2], last[2] = min(first[2], low), max(last[2], high)
-    return first, last
+                left, right, front, back = min(left, i), i, min(front, j), max(back, j)
+                for k in range(low):
+                    if row[k] > 0:
+                        low = k
+                        break
+                for k in range(nz - 1, high, -1):
+                    if row[k] > 0:
+                        high = k
+                        break
+    return np.array([left, front, low]), np.array([right, back, high])
 
 
 def evaluate_field(

@@ -27,7 +27,7 @@ class Crossed(NamedTuple):
 
 
 def crossed_cells(values: np.ndarray) -> Crossed:
-    """The cells that the surface in (nx, ny, nz) float32 crosses; the lattice's border is below 0, outside."""
+    """The cells that the surface in (nx, ny, nz) float32 crosses; its border is below 0, outside."""
     return Crossed(*_crossed(values, _vertex_counts(), _triangles()[0]))
 
 
