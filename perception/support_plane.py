@@ -196,7 +196,7 @@ def _resting(
 
     The second figure does not allow for feet that nobody can see from straight above. Without objects, 0.
     """
-    scores = [(0.0, 0.0)] if not groups else []
+    scores: list[tuple[float, ...]] = [(0.0, 0.0)] if not groups else []
     for group in groups:
         height = group @ normal + offset
         above = max(0.0, 2 * float((height > -config.plane_threshold).mean()) - 1)
