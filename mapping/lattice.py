@@ -125,6 +125,7 @@ class _HingeLattice:
     def on(self, axes: Axes) -> Block:
         """This group's part of any block of a lattice."""
         radius = float(reach(self.gamma, CUTOFF))
+        held = (self.weights != 0).any(0).cpu().numpy()
         known: dict[tuple[int, int, int], tuple[int, torch.Tensor]] = {}
 
         def along(i: int, part: slice) -> tuple[int, torch.Tensor]:
@@ -138,13 +139,15 @@ class _HingeLattice:
             return known[key]
 
         def block(window: Window, classes: torch.Tensor | None) -> torch.Tensor | None:
+            near = [along(i, part) for i, part in enumerate(window)]
+            # Most of the lattice holds no hinge point: only the box around those in reach is contracted.
+            box = _box_of(held[tuple(slice(first, first + table.shape[1]) for first, table in near)])
+            if box is None:
+                return None
             tensor, tables = self.weights, []
-            for i, part in enumerate(window):
-                first, table = along(i, part)
-                if table.shape[1] == 0:
-                    return None
-                tensor = tensor.narrow(i + 1, first, table.shape[1])
-                tables.append(table)
+            for i, ((first, table), part) in enumerate(zip(near, box)):
+                tensor = tensor.narrow(i + 1, first + part.start, part.stop - part.start)
+                tables.append(table[:, part])
             if classes is not None:
                 tensor = tensor.index_select(0, classes)
             count, shape = len(tensor), [len(table) for table in tables]
@@ -190,6 +193,13 @@ class _ScatteredHinges:
         right = (weights.T[:, :, None] * tables[-1].T).movedim(0, 1)  # (h, C, n_last)
         block = left @ right.reshape(len(near), -1)
         return block.reshape(*(len(a) for a in axes[:-1]), -1, len(axes[-1])).movedim(-2, 0)
+
+
+def _box_of(held: np.ndarray) -> Window | None:
+    """The smallest window of a lattice that has all places (m_1, .., m_d) that hold something."""
+    axes = range(held.ndim)
+    along = [np.flatnonzero(held.any(tuple(j for j in axes if j != i))) for i in axes]
+    return tuple(slice(n[0], n[-1] + 1) for n in along) if len(along[0]) else None
 
 
 def rises(axis: np.ndarray) -> bool:

@@ -192,10 +192,10 @@ class PipelineConfig(Checked):
     samples: TabletopSamples | PaperSamples = field(default_factory=TabletopSamples)
     """Hinge points and training samples."""
     map: ModelConfig = field(
-        # Stops a little before the optimum, and drops features below a hundredth: half the work, and meshes
+        # Stops before the optimum (half as tight a tolerance changed no figure in its second digit), and drops features below a hundredth: half the work, and meshes
         # that are hardly worse.
         default_factory=lambda: ModelConfig(
-            empty_log_odds=2.0, fit_cutoff=1e-2, fit=FitConfig(tolerance=6e-4, memory=4)
+            empty_log_odds=2.0, fit_cutoff=2e-2, fit=FitConfig(tolerance=1.2e-3, memory=4)
         )
     )
     """The kernel softmax map and its fit."""

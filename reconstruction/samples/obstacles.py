@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mapping.samples import shift_along_rays, voxel_subsample
-from perception.observation import Observation
+from perception.observation import Observation, near_boxes
 from perception.space import Space
 
 LEAST_POINTS = 30
@@ -70,8 +70,11 @@ def with_obstacles(
     sight = space.look(points)
     behind = wide[sight.pixel] & (sight.pixel >= 0)
     behind &= sight.behind > TOUCHING
-    distance = cKDTree(obstacles).query(points, distance_upper_bound=REACH)[0]
-    lean = np.where(np.isfinite(distance), np.float32(BESIDE), np.float32(0))
+    lean = np.zeros(len(points), np.float32)
+    box = near_boxes(points, [(obstacles.min(0), obstacles.max(0))], [REACH])  # most are far: no search
+    beside = np.flatnonzero(box & ~behind)
+    distance = cKDTree(obstacles).query(points[beside], distance_upper_bound=REACH)[0]
+    lean[beside[np.isfinite(distance)]] = BESIDE
     lean[behind] = BEYOND
     lean[behind & (sight.behind < shell)] = IN_SHELL
     other = guess[:, 0] * lean
