@@ -9,13 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from perception.blocks import blocks
 from perception.camera import Camera, invert_rigid
 from perception.config import PerceptionConfig
 from perception.observation import Observation
-
-NEAREST_DEPTH = 1e-4
-"""Points nearer to the camera's plane than this, or behind it, have no pixel [m]."""
+from perception.sights import ranks, sights
 
 
 class Region(IntEnum):
@@ -91,19 +88,8 @@ class Space:
 
     def look(self, points: np.ndarray) -> Sight:
         """What the camera sees on the ray through each point."""
-        points = _checked(points)
-        count = len(points)
-        sight = Sight(np.empty(count, np.int32), np.empty(count, np.float32), np.empty(count, np.float32))
-        width = self.camera.width + 2
-        for block in blocks(count):
-            pixel, z = self._framed_pixel(points[block])
-            np.subtract(z, self._framed_depth.take(pixel), out=sight.behind[block])
-            sight.depth[block] = z
-            row = pixel // width  # divmod takes several times as long
-            column = pixel - row * width
-            inside = (row > 0) & (row <= self.camera.height) & (column > 0) & (column <= self.camera.width)
-            sight.pixel[block] = np.where(inside, (row - 1) * self.camera.width + column - 1, -1)
-        return sight
+        A, b = self._projection
+        return Sight(*sights(*_axes(points), A, b, self._framed_depth))
 
     def pixel_of(self, points: np.ndarray) -> np.ndarray:
         """Flat index (N,) int32 of the pixel that sees each point, -1 outside the image."""
@@ -115,33 +101,22 @@ class Space:
 
     def classify(self, points: np.ndarray) -> np.ndarray:
         """The Region of each point, (N,) int8."""
-        points = _checked(points)
-        result = np.empty(len(points), np.int8)
+        A, b = self._projection
         base, growth = np.float32(self.config.surface_margin), np.float32(2 * self.config.depth_noise)
-        for block in blocks(len(points)):
-            pixel, z = self._framed_pixel(points[block])
-            measured = self._framed_depth.take(pixel)
-            z -= measured
-            margin = base + growth * measured * measured
-            # FREE, SURFACE, OCCLUDED = 0, 1, 2; all comparisons with NaN are false.
-            region = (z >= -margin).view(np.int8) + (z > margin).view(np.int8)
-            region[np.isnan(measured)] = Region.OUT_OF_VIEW
-            if self._framed_guess is not None:
-                region[self._framed_guess.take(pixel) & (region != Region.OCCLUDED)] = Region.OUT_OF_VIEW
-            if self.has_support:
-                region[points[block, 2] < np.float32(self.floor) - base] = Region.BELOW_SUPPORT
-            result[block] = region
-        return result
+        lowest = np.float32(self.floor) - base if self.has_support else np.float32(-np.inf)
+        return np.asarray(
+            ranks(*_axes(points), A, b, self._framed_depth, self._framed_guess, base, growth, lowest)
+        )
 
     @cached_property
     def _framed_depth(self) -> np.ndarray:
-        """Depth with a frame of NaN one pixel wide, flat: what falls outside the image is unknown."""
-        return np.pad(self.depth, 1, constant_values=np.float32(np.nan)).reshape(-1)
+        """Depth with a frame of NaN one pixel wide: what falls outside the image is unknown."""
+        return np.pad(self.depth.astype(np.float32, copy=False), 1, constant_values=np.float32(np.nan))
 
     @cached_property
-    def _framed_guess(self) -> np.ndarray | None:
-        """Where depth is a guess, framed as depth is."""
-        return None if self.guessed is None else np.pad(self.guessed, 1).reshape(-1)
+    def _framed_guess(self) -> np.ndarray:
+        """Where depth is a guess, framed as depth is; (0, 0) for nowhere."""
+        return np.empty((0, 0), bool) if self.guessed is None else np.pad(self.guessed, 1)
 
     @cached_property
     def _projection(self) -> tuple[np.ndarray, np.ndarray]:
@@ -149,28 +124,13 @@ class Space:
         # Half a pixel more turns rounding into cutting off, which is faster.
         shift = np.array([[1.0, 0.0, 1.5], [0.0, 1.0, 1.5], [0.0, 0.0, 1.0]])
         P = shift @ self.camera.K @ self.T_camera_table[:3]
-        return P[:, :3].astype(np.float32), P[:, 3:].astype(np.float32)
-
-    def _framed_pixel(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Flat index in the framed image (N,) int32, and depth (N,) float32 [m]."""
-        A, b = self._projection
-        u, v, z = projected = A @ points.T  # (3, N): each row in one piece
-        projected += b
-        inverse = np.float32(1) / np.maximum(z, np.float32(NEAREST_DEPTH))
-        u *= inverse
-        v *= inverse
-        if z.min(initial=1.0) < NEAREST_DEPTH:
-            u[z < NEAREST_DEPTH] = 0
-        np.clip(u, 0, self.camera.width + 1, out=u)
-        np.clip(v, 0, self.camera.height + 1, out=v)
-        pixel = v.astype(np.int32)
-        pixel *= np.int32(self.camera.width + 2)
-        pixel += u.astype(np.int32)
-        return pixel, z
+        return np.ascontiguousarray(P[:, :3], np.float32), np.ascontiguousarray(P[:, 3], np.float32)
 
 
-def _checked(points: np.ndarray) -> np.ndarray:
+def _axes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points (N, 3) axis by axis, each in one piece."""
     points = np.asarray(points, np.float32)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"points must have shape (N, 3), got {points.shape}")
-    return points
+    x, y, z = np.ascontiguousarray(points.T)
+    return x, y, z

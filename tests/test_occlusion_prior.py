@@ -12,7 +12,13 @@ from mapping.errors import DataError
 from perception.camera import invert_rigid, transform
 from perception.observing import observe
 from perception.space import Space
-from reconstruction.prior.evidence import BORDER_REACH_PX, Border, RayLookup, hidden_labels
+from reconstruction.prior.evidence import (
+    BORDER_REACH_PX,
+    Border,
+    RayLookup,
+    border_distance,
+    hidden_labels,
+)
 from reconstruction.prior.features import UNKNOWN, ObjectBox, RayEvidence
 from reconstruction.prior.footprint import CELLS, Footprint
 from reconstruction.prior.network import PriorNetwork
@@ -136,7 +142,9 @@ def test_border_is_measured_near_the_object_and_constant_far_from_it():
     height, width = 120, 160
     rows, columns = np.meshgrid(np.arange(10, 30), np.arange(5, 25), indexing="ij")
     border = Border.of((rows * width + columns).reshape(-1), height, width)
-    image = border.at(np.arange(height * width, dtype=np.int32)).reshape(height, width)
+    image = np.array([border_distance(*border, place) for place in range(height * width)]).reshape(
+        height, width
+    )
     assert image[19, 14] == pytest.approx(10, rel=0.06)
     assert image[19, 0] == pytest.approx(-5, rel=0.06)
     assert image[60, 14] == pytest.approx(-31, rel=0.06)

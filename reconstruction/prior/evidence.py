@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from mapping.compiled import compiled
 from perception.observation import Observation
 from perception.space import Space
 from reconstruction.prior.features import BACKGROUND, OTHER, OWN, UNKNOWN, RayEvidence
@@ -26,18 +28,13 @@ class RayLookup:
     space: Space
 
     def __call__(self, points: np.ndarray, index: int) -> RayEvidence:
-        sight = self.space.look(points)
-        unknown = np.isnan(sight.behind)
-        pixel = np.maximum(sight.pixel, 0)
+        sight, border = self.space.look(points), self._border(index)
         kinds = np.full(len(self.observation.objects) + 2, OTHER, np.int8)
         kinds[[index, -2]] = OWN, BACKGROUND
-        seen = kinds.take(self._owner.take(pixel))
-        seen[unknown] = UNKNOWN
         # One pixel is z / f metres wide at depth z.
-        depth = sight.depth
-        depth[unknown] = self._depths[index]
-        depth /= np.float32(self.observation.camera.K[0, 0])
-        return RayEvidence(sight.behind, seen, self._border(index).at(pixel) * depth)
+        focal = np.float32(self.observation.camera.K[0, 0])
+        seen, inside = _seen_and_inside(*sight, self._owner, kinds, self._depths[index], focal, *border)
+        return RayEvidence(sight.behind, seen, inside)
 
     @cached_property
     def _owner(self) -> np.ndarray:
@@ -68,8 +65,7 @@ class RayLookup:
         return self._borders[index]
 
 
-@dataclass(frozen=True)
-class Border:
+class Border(NamedTuple):
     """Distance of pixels to the border of one object's visible region.
 
     distance: [px], positive inside, of a window of the image whose outermost pixels stand for all beyond it;
@@ -100,19 +96,6 @@ class Border:
         np.maximum(inner, -reach, out=inner)
         return cls(distance, int(top) - 1, int(left) - 1, width)
 
-    def at(self, pixel: np.ndarray) -> np.ndarray:
-        """Distance (N,) float32 [px] of pixels (N,) int32 of the image."""
-        height, width = self.distance.shape
-        row = pixel // self.width
-        column = pixel - row * self.width
-        row -= self.row
-        column -= self.column
-        np.clip(row, 0, height - 1, out=row)
-        np.clip(column, 0, width - 1, out=column)
-        row *= width
-        row += column
-        return self.distance.take(row)
-
 
 def hidden_labels(
     observation: Observation, space: Space, points: np.ndarray, prior: ShapePrior | None = None
@@ -132,3 +115,40 @@ def hidden_labels(
         return prior.distribution(visible, space.origin, lookup, points, floors)
     own = OcclusionPrior.load()
     return own.distribution(visible, space.origin, lookup, points, floors, observation.memo)
+
+
+@compiled
+def _seen_and_inside(
+    pixel: np.ndarray,
+    depth: np.ndarray,
+    behind: np.ndarray,
+    owner: np.ndarray,
+    kinds: np.ndarray,
+    usual: float,
+    focal: float,
+    distance: np.ndarray,
+    first_row: int,
+    first_column: int,
+    width: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of points seen as `Sight` says: what their rays see (N,) int8, by the kind of the pixel's owner; and
+    how far inside the object's visible region they pass [m] (N,) float32, at the depth `usual` where nothing
+    was measured."""
+    seen, inside = np.empty(len(pixel), np.int8), np.empty(len(pixel), np.float32)
+    for i in range(len(pixel)):
+        place = max(pixel[i], 0)
+        known = not np.isnan(behind[i])
+        seen[i] = kinds[owner[place]] if known else UNKNOWN
+        pixels = border_distance(distance, first_row, first_column, width, place)
+        inside[i] = pixels * ((depth[i] if known else usual) / focal)
+    return seen, inside
+
+
+@compiled
+def border_distance(distance: np.ndarray, first_row: int, first_column: int, width: int, place: int) -> float:
+    """Distance [px] of one pixel of the image, a flat index, to the border of an object's visible region; the
+    other arguments: the fields of its `Border`."""
+    row, column = place // width, place % width
+    row = min(max(row - first_row, 0), distance.shape[0] - 1)
+    column = min(max(column - first_column, 0), distance.shape[1] - 1)
+    return distance[row, column]
