@@ -12,6 +12,7 @@ from reconstruction.surface.fusion import places
 from reconstruction.surface.isosurface import crossed_cells, isosurface
 from reconstruction.surface.neighbours import nodes_off
 from reconstruction.surface.parts import label
+from reconstruction.surface.refined import values_at
 
 SHAPES = [(3, 4, 5), (1, 7, 2), (12, 9, 17)]
 
@@ -67,6 +68,16 @@ def test_the_extent_holds_all_nodes_above_zero() -> None:
     values[1, 2, 3] = values[2, 2, 0] = 1
     expected = (slice(1, 3), slice(2, 3), slice(0, 4))
     assert extent(values) == extent(values > 0) == extent(np.asfortranarray(values)) == expected
+
+
+def test_values_between_nodes_are_those_of_scipy() -> None:
+    values = lattice((4, 5, 6), 0.0, 5)
+    limit = np.array(values.shape) - 1
+    where = np.concatenate(
+        [np.random.default_rng(6).uniform(-1, 8, (200, 3)), [limit, limit - 0.25, np.zeros(3)]]
+    )
+    expected = ndimage.map_coordinates(values, np.clip(where, 0, limit).T, order=1)
+    np.testing.assert_array_equal(values_at(values, where), expected)
 
 
 def test_places_of_nodes_are_their_indices_times_the_spacing() -> None:

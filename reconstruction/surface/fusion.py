@@ -114,7 +114,7 @@ def _combined(
 
 
 def places(nodes: np.ndarray, shape: tuple[int, ...], corner: np.ndarray, spacing: float) -> np.ndarray:
-    """Where flat nodes (M,) of a lattice are: (M, 3) float32 [m]."""
+    """Where flat nodes (M,) of a lattice are, given in ascending order: (M, 3) float32 [m]."""
     _, ny, nz = shape
     return _places(nodes, ny, nz, corner.astype(np.float32), np.float32(spacing))
 
@@ -122,13 +122,17 @@ def places(nodes: np.ndarray, shape: tuple[int, ...], corner: np.ndarray, spacin
 @compiled
 def _places(nodes: np.ndarray, ny: int, nz: int, corner: np.ndarray, spacing: float) -> np.ndarray:
     points = np.empty((len(nodes), 3), np.float32)
-    for i in range(len(nodes)):
-        node = np.uint32(nodes[i])  # divided in a fraction of the time
-        plane = node // np.uint32(nz)
-        x = plane // np.uint32(ny)
-        points[i, 0] = np.float32(x) * spacing + corner[0]
-        points[i, 1] = np.float32(plane - x * np.uint32(ny)) * spacing + corner[1]
-        points[i, 2] = np.float32(node - plane * np.uint32(nz)) * spacing + corner[2]
+    i, j, first = 0, -1, -nz  # the row, and its first node: divisions would take most of the time
+    x = y = np.float32(0)
+    for m in range(len(nodes)):
+        if nodes[m] >= first + nz:
+            while nodes[m] >= first + nz:
+                first += nz
+                j += 1
+            i, j = i + j // ny, j % ny
+            x, y = np.float32(i) * spacing + corner[0], np.float32(j) * spacing + corner[1]
+        points[m, 0], points[m, 1] = x, y
+        points[m, 2] = np.float32(nodes[m] - first) * spacing + corner[2]
     return points
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mapping.compiled import compiled
 from perception.camera import Camera
 from perception.config import PerceptionConfig
 from perception.depth_edges import depth_jump
@@ -27,21 +28,23 @@ def box_of(pixels: np.ndarray, width: int) -> tuple[slice, slice]:
 
 def edge_pixels(own: np.ndarray, depth: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Pixels (h, w) bool on the near side of an edge of an object's image own (h, w), and on its far side."""
-    # A frame of pixels without depth: on the flat image a step to a neighbour is one shift.
-    framed = np.pad(depth, 1, constant_values=np.nan)
-    shape, depth, own = framed.shape, framed.reshape(-1), np.pad(own, 1).reshape(-1)
-    jump = depth_jump(depth, camera, PerceptionConfig())
-    near, far = np.zeros_like(own), np.zeros_like(own)
-    for step in (1, shape[1], shape[1] + 1, shape[1] - 1):
-        ahead, back = slice(step, None), slice(None, -step)
-        for one, other in ((back, ahead), (ahead, back)):
-            limit = np.where(own[other], jump[one], np.float32(SAME_DEPTH))
-            with np.errstate(invalid="ignore"):
-                edge = own[one] & (depth[other] - depth[one] > limit)
-            near[one] |= edge
-            far[other] |= edge
-    inner = (slice(1, -1), slice(1, -1))
-    return near.reshape(shape)[inner], far.reshape(shape)[inner]
+    depth = np.ascontiguousarray(depth, np.float32)
+    return _edge_pixels(own, depth, depth_jump(depth, camera, PerceptionConfig()))
+
+
+@compiled
+def _edge_pixels(own: np.ndarray, depth: np.ndarray, jump: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    height, width = own.shape
+    near, far = np.zeros(own.shape, np.bool_), np.zeros(own.shape, np.bool_)
+    for i in range(height):
+        for j in range(width):
+            if own[i, j]:
+                for row in range(max(i - 1, 0), min(i + 2, height)):
+                    for column in range(max(j - 1, 0), min(j + 2, width)):
+                        limit = jump[i, j] if own[row, column] else np.float32(SAME_DEPTH)
+                        if depth[row, column] - depth[i, j] > limit:
+                            near[i, j] = far[row, column] = True
+    return near, far
 
 
 def nearest_of(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

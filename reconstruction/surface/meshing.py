@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import trimesh
-from scipy import ndimage
 
 from reconstruction.config import MeshConfig
 from reconstruction.surface.closed_solid import ClosedSolid
 from reconstruction.surface.field import Field
 from reconstruction.surface.fusion import fuse
 from reconstruction.surface.joint_surface import JointSurface
+from reconstruction.surface.refined import values_at
 from reconstruction.surface.revolved import RevolvedEdges
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
 from reconstruction.surface.seen_surface import SeenSurface
@@ -66,7 +66,5 @@ def extract_mesh(
             solid = ClosedSolid.of(walled, config.smallest_part, cells) or solid
     vertices, faces = solid.surface()
     nodes = vertices * (spacing / field.spacing) + start  # of the map's lattice
-    limit = np.array(uncertainty.shape) - 1
-    at_vertices = ndimage.map_coordinates(uncertainty, np.clip(nodes, 0, limit).T, order=1)
     mesh = trimesh.Trimesh(corner + field.spacing * nodes, faces, process=False)
-    return mesh, np.clip(at_vertices, 0, 1).astype(np.float32)
+    return mesh, np.clip(values_at(uncertainty, nodes), 0, 1)

@@ -61,26 +61,54 @@ def spread(values: np.ndarray, factor: int) -> np.ndarray:
 
 @compiled
 def interpolated(values: np.ndarray, factor: int, nodes: np.ndarray) -> np.ndarray:
-    """Linear interpolation of (nx, ny, nz) float32 at flat fine nodes (M,), of factor (n - 1) + 1 an axis."""
+    """Linear interpolation of (nx, ny, nz) float32 at flat fine nodes (M,), of factor (n - 1) + 1 an axis
+    and in ascending order."""
     nx, ny, nz = values.shape
-    width, depth = np.uint32(factor * (ny - 1) + 1), np.uint32(factor * (nz - 1) + 1)
-    step = np.uint32(factor)
+    width, depth = factor * (ny - 1) + 1, factor * (nz - 1) + 1
     share = (np.arange(factor) / factor).astype(np.float32)
     rest = np.float32(1) - share
     found = np.empty(len(nodes), np.float32)
+    row, first = -1, -depth  # the fine row, and its first node: divisions would take most of the time
+    i = i_next = j = j_next = a = b = 0
     for m in range(len(nodes)):
-        node = np.uint32(nodes[m])  # divided in a fraction of the time
-        plane = node // depth
-        x = plane // width
-        y, z = plane - x * width, node - plane * depth
-        i, j, k = x // step, y // step, z // step
-        a, b, c = x - i * step, y - j * step, z - k * step
-        # On the last node there is no next one, and no share of it.
-        i_next, j_next, k_next = min(i + (a > 0), nx - 1), min(j + (b > 0), ny - 1), min(k + (c > 0), nz - 1)
-        first = values[i, j, k_next] * share[c] + values[i, j, k] * rest[c]
-        second = values[i, j_next, k_next] * share[c] + values[i, j_next, k] * rest[c]
-        third = values[i_next, j, k_next] * share[c] + values[i_next, j, k] * rest[c]
-        fourth = values[i_next, j_next, k_next] * share[c] + values[i_next, j_next, k] * rest[c]
-        near, far = second * share[b] + first * rest[b], fourth * share[b] + third * rest[b]
+        if nodes[m] >= first + depth:
+            while nodes[m] >= first + depth:
+                first += depth
+                row += 1
+            i, a, j, b = (
+                row // width // factor,
+                row // width % factor,
+                row % width // factor,
+                row % width % factor,
+            )
+            # On the last node there is no next one, and no share of it.
+            i_next, j_next = min(i + 1, nx - 1), min(j + 1, ny - 1)
+        k = (nodes[m] - first) // factor
+        c, k_next = nodes[m] - first - k * factor, min(k + 1, nz - 1)
+        one = values[i, j, k_next] * share[c] + values[i, j, k] * rest[c]
+        two = values[i, j_next, k_next] * share[c] + values[i, j_next, k] * rest[c]
+        three = values[i_next, j, k_next] * share[c] + values[i_next, j, k] * rest[c]
+        four = values[i_next, j_next, k_next] * share[c] + values[i_next, j_next, k] * rest[c]
+        near, far = two * share[b] + one * rest[b], four * share[b] + three * rest[b]
         found[m] = far * share[a] + near * rest[a]
+    return found
+
+
+@compiled
+def values_at(values: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Linear interpolation of (nx, ny, nz) float32 at places (M, 3), in nodes; those beyond the lattice are
+    taken for the nearest in it."""
+    nx, ny, nz = values.shape
+    found = np.empty(len(places), np.float32)
+    for m in range(len(places)):
+        x, y, z = max(places[m, 0], 0.0), max(places[m, 1], 0.0), max(places[m, 2], 0.0)
+        i, j, k = min(int(x), nx - 1), min(int(y), ny - 1), min(int(z), nz - 1)
+        a, b, c = min(x, nx - 1.0) - i, min(y, ny - 1.0) - j, min(z, nz - 1.0) - k
+        total = 0.0
+        for di in range(2):
+            for dj in range(2):
+                for dk in range(2):
+                    value = np.float64(values[min(i + di, nx - 1), min(j + dj, ny - 1), min(k + dk, nz - 1)])
+                    total += value * (a if di else 1 - a) * (b if dj else 1 - b) * (c if dk else 1 - c)
+        found[m] = total
     return found

@@ -51,9 +51,10 @@ def _empty_again(
     count, count_ahead = np.zeros(CLASSES, np.int64), np.zeros(CLASSES, np.int64)
     for level in levels:
         count[:] = 0
+        loose = loose[left[loose]]
         # Anew for each level: emptying a node may have freed one that is no direct neighbour.
         for node in loose:
-            if left[node] and odds[node] <= level and _empty_around(rows, node, ny, nz):
+            if odds[node] <= level and _empty_around(rows, node, ny, nz):
                 number = _class_of(node, ny, nz)
                 front[number, count[number]] = node
                 count[number] += 1
