@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mapping.compiled import compiled
 from perception.camera import Camera
 from perception.grouping import group_by_label
 
@@ -35,6 +36,8 @@ STEPS = ((1, 0), (0, 1))
 """To direct neighbours along u and v [px]."""
 NONE = np.float32(-1e4)
 """Inverse depth of pixels without one: so far from any that no difference is small."""
+COLUMNS = 16
+"""Matrix products of a multiple of this sum all columns in one order."""
 LEVEL = 1e-5
 """Weight of "level" in the slope: decides where no neighbour says anything."""
 
@@ -117,35 +120,83 @@ class _Part:
 
 def _fitted(part: _Part, noise: float, radius: int, focal: float) -> np.ndarray:
     """Smoothed inverse depth [1/m] and its slope along u and v [1/m/px] at a part's pixels: (3, N)."""
-    own = part.neighbour(0, 0)
-    limit = np.float32(BEND * np.sqrt(6) * noise) + np.float32(LEAST_BEND) * own * own
-    steps = _half_disc(radius)
-    weights, sums, differences = np.empty((3, len(steps), part.count), np.float32)
-    for (du, dv), weight, both, difference in zip(steps, weights, sums, differences):
-        after, before = part.neighbour(du, dv), part.neighbour(-du, -dv)
-        np.add(after, before, out=both)
-        pair = np.abs(both - 2 * own) <= limit  # False where one is missing
-        np.multiply(pair, np.float32(np.exp(-(du * du + dv * dv) / (2 * (radius / 1.5) ** 2))), out=weight)
-        both *= weight
-        np.subtract(after, before, out=difference)
-        difference *= weight
-    u, v = np.array(steps, np.float32).T
-    xx, xy, yy, total = np.stack([u * u, u * v, v * v, np.ones_like(u)]) @ weights
-    xw, yw = np.stack([u, v]) / 2 @ differences
-    xx += np.float32(LEVEL)
-    yy += np.float32(LEVEL)
-    step_limit = np.float32(4 / focal) * own + np.float32(4 * noise)
-    for (du, dv), square, product in zip(STEPS, (xx, yy), (xw, yw)):
-        unpaired = weights[steps.index((du, dv))] == 0
+    steps = np.array(_half_disc(radius))
+    weights = np.exp(-(steps**2).sum(1) / (2 * (radius / 1.5) ** 2)).astype(np.float32)
+    places = part.place + RADIUS * (part.width + 1)
+    bend = np.float32(BEND * np.sqrt(6) * noise)
+    shares, differences, sums = _pairs(part.inverse, part.width, places, steps, weights, bend)
+    u, v = steps.T.astype(np.float32)
+    moments = np.stack([u * u, u * v, v * v, np.ones_like(u)]) @ shares
+    slopes = np.stack([u, v]) / 2 @ differences
+    alone = shares[steps.tolist().index([1, 0])] == 0, shares[steps.tolist().index([0, 1])] == 0
+    per_pixel, spread = np.float32(4 / focal), np.float32(4 * noise)
+    fit = _fit(part.inverse, part.width, places, moments, slopes, *alone, per_pixel, spread)
+    own = part.inverse[places]
+    return np.stack([(own + sums) / (1 + 2 * moments[3, : len(own)]) if radius > 1 else own, *fit])
+
+
+@compiled
+def _pairs(
+    inverse: np.ndarray, width: int, places: np.ndarray, steps: np.ndarray, weights: np.ndarray, bend: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What opposite neighbours, `steps` (S, 2) away from places (N,) of a part's rows, say of the surface.
+
+    The weight of each pair (S, M), 0 where it bends by more than `bend` [1/m] of noise; its difference
+    (S, M), and the sum of all pairs (N,), both times that. M: N and a few more.
+    """
+    count = len(places)
+    shares = np.zeros((len(steps), count + -count % COLUMNS), np.float32)
+    differences, sums = np.zeros_like(shares), np.zeros(count, np.float32)
+    for s in range(len(steps)):
+        step, weight = steps[s, 1] * width + steps[s, 0], weights[s]
+        for n in range(count):
+            own, after = inverse[places[n]], inverse[places[n] + step]
+            before = inverse[places[n] - step]
+            both = after + before
+            # Never where one is missing.
+            if abs(both - np.float32(2) * own) <= bend + np.float32(LEAST_BEND) * own * own:
+                shares[s, n], differences[s, n] = weight, weight * (after - before)
+                sums[n] += weight * both
+    return shares, differences, sums
+
+
+@compiled
+def _fit(
+    inverse: np.ndarray,
+    width: int,
+    places: np.ndarray,
+    moments: np.ndarray,
+    slopes: np.ndarray,
+    alone_u: np.ndarray,
+    alone_v: np.ndarray,
+    per_pixel: float,
+    spread: float,
+) -> np.ndarray:
+    """The slopes (2, N) at places (N,) of a part's rows, from the sums over pairs: of weights times u u, u v,
+    v v, 1 (4, M) and of differences times u, v (2, M).
+
+    A neighbour without its opposite, where there is no pair along u or v (M,), counts if it is nearer than
+    `per_pixel` times the inverse depth and `spread` [1/m].
+    """
+    found = np.empty((2, len(places)), np.float32)
+    share = np.float32(ONE_SIDED)
+    for n in range(len(places)):
+        own = inverse[places[n]]
+        xx, xy, yy = moments[0, n] + np.float32(LEVEL), moments[1, n], moments[2, n] + np.float32(LEVEL)
+        xw, yw = slopes[0, n], slopes[1, n]
         for sign in (1, -1):
-            gap = part.neighbour(sign * du, sign * dv) - own
-            alone = np.float32(ONE_SIDED) * (unpaired & (np.abs(gap) <= step_limit))
-            square += alone
-            product += sign * alone * gap
-    determinant = xx * yy - xy * xy
-    gu, gv = (yy * xw - xy * yw) / determinant, (xx * yw - xy * xw) / determinant
-    smooth = (own + sums.sum(0)) / (1 + 2 * total) if radius > 1 else own
-    return np.stack([values[part.place] for values in (smooth, gu, gv)])
+            gap = inverse[places[n] + sign] - own
+            if alone_u[n] and abs(gap) <= per_pixel * own + spread:
+                xx += share
+                xw += np.float32(sign) * share * gap
+            gap = inverse[places[n] + sign * width] - own
+            if alone_v[n] and abs(gap) <= per_pixel * own + spread:
+                yy += share
+                yw += np.float32(sign) * share * gap
+        determinant = xx * yy - xy * xy
+        found[0, n] = (yy * xw - xy * yw) / determinant
+        found[1, n] = (xx * yw - xy * xw) / determinant
+    return found
 
 
 def _noise(bends: np.ndarray) -> float:
