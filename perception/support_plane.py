@@ -196,7 +196,9 @@ def _resting(
 
     The second figure does not allow for feet that nobody can see from straight above. Without objects, 0.
     """
-    scores: list[tuple[float, ...]] = [(0.0, 0.0)] if not groups else []
+    if not groups:
+        return 0.0, 0.0
+    scores = []
     for group in groups:
         height = group @ normal + offset
         above = max(0.0, 2 * float((height > -config.plane_threshold).mean()) - 1)
@@ -206,8 +208,9 @@ def _resting(
         # Seen from straight above, an object hides its own foot: a gap says nothing then.
         hidden = max(0.0, steep - STEEP) / (1 - STEEP)
         rests = [REST_LENGTH * (1 + HIDDEN_FOOT * allowed) for allowed in (hidden, 0.0)]
-        scores.append(tuple(above * float(np.exp(-((gap / rest) ** 2))) for rest in rests))
-    return tuple(np.mean(scores, axis=0).tolist())
+        scores.append([above * np.exp(-((gap / rest) ** 2)) for rest in rests])
+    rests_well, in_contact = np.mean(scores, axis=0).tolist()
+    return rests_well, in_contact
 
 
 def _carrying(points: np.ndarray, normal: np.ndarray, offset: float, config: PerceptionConfig) -> float:
