@@ -21,39 +21,34 @@ def group_by_label(label: np.ndarray) -> list[tuple[int, np.ndarray]]:
     """
     if label.size == 0:
         return []
-    order, names, ends = _counted(label.astype(np.int64), int(label.max()) + 1)
-    return list(zip(names.tolist(), np.split(order, ends[:-1])))
+    order, met, ends = _counted(label.astype(np.int64), int(label.max()) + 1)
+    return [(name, order[ends[name - 1] if name else 0 : ends[name]]) for name in met.tolist()]
 
 
 @compiled
 def _counted(label: np.ndarray, values: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Indices (N,) of label (N,) < values, group after group; the groups' labels, and where each ends.
-
-    Counting is faster than sorting, the more so by runs: neighbours mostly share their label.
+    """Indices (N,) of label (N,) < values, value after value; the values that are met, as they are met; and
+    where the indices of each value end (values,). Counting is faster than sorting.
     """
-    starts = np.empty(len(label) + 1, np.int64)
-    size = np.zeros(values, np.int64)
-    names = np.empty(values, np.int64)
-    runs, groups = 0, 0
+    ends, met, count = np.zeros(values, np.int64), np.empty(values, np.int64), 0
+    start = 0
+    for index in range(1, len(label) + 1):
+        if index == len(label) or label[index] != label[start]:  # neighbours mostly share their label
+            if ends[label[start]] == 0:
+                met[count] = label[start]
+                count += 1
+            ends[label[start]] += index - start
+            start = index
+    total = 0
+    for value in range(values):
+        total, ends[value] = total + ends[value], total
+    order, value, place = np.empty(len(label), np.int64), label[0], ends[label[0]]
     for index in range(len(label)):
-        if index == 0 or label[index] != label[index - 1]:
-            starts[runs] = index
-            runs += 1
-    starts[runs] = len(label)
-    for run in range(runs):
-        value = label[starts[run]]
-        if size[value] == 0:
-            names[groups] = value
-            groups += 1
-        size[value] += starts[run + 1] - starts[run]
-    names = names[:groups].copy()
-    ends = np.cumsum(size[names])
-    place = size  # from here on, where the next index of each label goes
-    place[names] = ends - size[names]
-    order = np.empty(len(label), np.int64)
-    for run in range(runs):
-        start, end = starts[run], starts[run + 1]
-        first = place[label[start]]
-        order[first : first + end - start] = np.arange(start, end)
-        place[label[start]] = first + end - start
-    return order, names, ends
+        if label[index] != value:
+            ends[value] = place
+            value = label[index]
+            place = ends[value]
+        order[place] = index
+        place += 1
+    ends[value] = place
+    return order, met[:count], ends

@@ -81,25 +81,18 @@ def connected_points(points: np.ndarray, scale: float) -> np.ndarray:
 @compiled
 def _voxel_keys(points: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:
     """A number (N,) for the voxel of each point, and what is added to it (13,) for half of its neighbours."""
-    cells = np.empty((3, len(points)), np.int64)
+    key, steps = np.zeros(len(points), np.int64), np.zeros(13, np.int64)
     for axis in range(3):
+        low = high = np.floor(points[0, axis] * scale)
         for point in range(len(points)):
-            cells[axis, point] = np.floor(points[point, axis] * scale)
-    key = np.zeros(len(points), np.int64)
-    rows = np.ones(3, np.int64)
-    for axis in range(3):
-        low = cells[axis].min()
-        width = cells[axis].max() - low + 2  # the last voxel of a row is empty: rows do not touch
-        key = key * width + cells[axis] - low
-        rows[:axis] *= width
-    steps = [
-        x * rows[0] + y * rows[1] + z
-        for x in range(2)
-        for y in range(-1, 2)
-        for z in range(-1, 2)
-        if 9 * x + 3 * y + z > 0
-    ]
-    return key, np.array(steps)
+            low = min(low, np.floor(points[point, axis] * scale))
+            high = max(high, np.floor(points[point, axis] * scale))
+        width = np.int64(high - low) + 2  # the last voxel of a row is empty: rows do not touch
+        for point in range(len(points)):
+            key[point] = key[point] * width + np.int64(np.floor(points[point, axis] * scale) - low)
+        for step in range(13):  # 14..26 in base 3: the neighbours behind one's own voxel, which is 13
+            steps[step] = steps[step] * width + (step + 14) // 3 ** (2 - axis) % 3 - 1
+    return key, steps
 
 
 @compiled

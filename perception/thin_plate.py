@@ -15,21 +15,27 @@ EVALUATED = 128
 """Places at which the plate is evaluated at a time, so that the intermediate arrays stay in the cache."""
 
 
-@compiled
 def block_means(
     rows: np.ndarray, columns: np.ndarray, values: np.ndarray, side: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean place (B, 2) [px] and mean value (B,) of the pixels (N,) in each square block with sides [px]."""
-    across = columns.max() // side + 1
-    total = np.zeros(((rows.max() // side + 1) * across, 4))
-    for pixel in range(len(rows)):
-        block = total[rows[pixel] // side * across + columns[pixel] // side]
-        block[0] += rows[pixel]
-        block[1] += columns[pixel]
-        block[2] += values[pixel]
-        block[3] += 1
-    some = total[total[:, 3] > 0]
+    total = np.zeros((int(rows.max()) // side + 1, int(columns.max()) // side + 1, 4))
+    _add_to_blocks(total, rows, columns, values, side)
+    some = total[total[..., 3] > 0]
     return some[:, :2] / some[:, 3:], some[:, 2] / some[:, 3]
+
+
+@compiled
+def _add_to_blocks(
+    total: np.ndarray, rows: np.ndarray, columns: np.ndarray, values: np.ndarray, side: int
+) -> None:
+    """Add row, column, value and 1 of each pixel (N,) to its block in total (., ., 4)."""
+    for pixel in range(len(rows)):
+        row, column = rows[pixel] // side, columns[pixel] // side
+        total[row, column, 0] += rows[pixel]
+        total[row, column, 1] += columns[pixel]
+        total[row, column, 2] += values[pixel]
+        total[row, column, 3] += 1
 
 
 def thin_plate(places: np.ndarray, values: np.ndarray, wanted: np.ndarray) -> np.ndarray:
