@@ -72,13 +72,13 @@ def find_levels(
     cells, height = _level_cells(points, labels, support, camera, config)
     levels = _levels(cells, height, config)
     axes = np.linalg.svd(support.normal[None])[2][1:]  # two directions along the plane
-    flat = cells @ axes.T
+    flat = axes @ cells.T
     floors: dict[int, float] = {}
     found: set[int] = set()
     for label, pixels in measured.items():
         own = points.reshape(-1, 3)[pixels[:: 1 + len(pixels) // OBJECT_POINTS]].astype(np.float64)
         own_height = own @ support.normal + support.offset
-        level = _level_under(own @ axes.T, own_height, levels, flat, height)
+        level = _level_under(axes @ own.T, own_height, levels, flat, height)
         if level is not None:
             found.add(label)
         elif np.mean(own_height < -HALF_THICKNESS) > 1 - SUNK_SHARE:
@@ -149,14 +149,17 @@ def _thickness(cells: np.ndarray, config: PerceptionConfig) -> np.ndarray:
 def _level_under(
     own: np.ndarray, own_height: np.ndarray, levels: list[float], flat: np.ndarray, height: np.ndarray
 ) -> float | None:
-    """The level that an object with points own (N, 2) along the plane stands on, or None.
+    """The level that an object with points own (2, N) along the plane stands on, or None. flat (2, M) and
+    height (M,): the level cells.
 
     It rests on the highest one that it begins at; where its foot is hidden, the one most of which is seen
     beside it, and on several sides of it if it is a raised one: the top of a box that hides the foot is no
     support.
     """
-    beside = ((flat > own.min(0) - BESIDE) & (flat < own.max(0) + BESIDE)).all(1)
-    flat, height = flat[beside], height[beside]
+    beside = np.ones(len(height), bool)
+    for cells_along, own_along in zip(flat, own):
+        beside &= (cells_along > own_along.min() - BESIDE) & (cells_along < own_along.max() + BESIDE)
+    flat, height = flat[:, beside], height[beside]
     resting: list[tuple[float, int]] = []
     hidden: list[tuple[float, int]] = []
     for level in levels:
@@ -168,7 +171,7 @@ def _level_under(
         gap = float(quantiles(own_height[~sunk], 0.03)[0]) - level
         if gap < REST_GAP:
             resting.append((level, cells))
-        elif level <= 0 or _around(np.median(own, axis=0), flat[at_level]):
+        elif level <= 0 or _around(np.median(own, axis=1), flat[:, at_level].T):
             hidden.append((level, cells))
     if resting:
         return max(resting)[0]

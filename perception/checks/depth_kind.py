@@ -134,7 +134,7 @@ def _largest_plane(pixel: np.ndarray, values: np.ndarray, rng: np.random.Generat
     plane = planes[int(np.argmax(count))]
     inside = np.abs(pixel @ plane - scaled) < TOLERANCE
     for _ in range(3):
-        plane = np.linalg.lstsq(pixel[inside], scaled[inside], rcond=None)[0]
+        plane = _affine(pixel[inside], scaled[inside])
         residual = np.abs(pixel @ plane - scaled)
         inside = residual < TOLERANCE
         if inside.sum() < 10:
@@ -144,6 +144,11 @@ def _largest_plane(pixel: np.ndarray, values: np.ndarray, rng: np.random.Generat
 
 def _error(pixel: np.ndarray, values: np.ndarray) -> float:
     """Residual of the best plane as a share of the values' spread, both as robust standard deviations."""
-    plane = np.linalg.lstsq(pixel, values, rcond=None)[0]
+    plane = _affine(pixel, values)
     spread = float(values.std())
     return float(np.sqrt(np.mean((pixel @ plane - values) ** 2)) / max(spread, 1e-12))
+
+
+def _affine(pixel: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The coefficients (3,) with which pixel (N, 3) gives values (N,) best, by the normal equations."""
+    return np.linalg.lstsq(pixel.T @ pixel, pixel.T @ values, rcond=None)[0]
