@@ -217,8 +217,8 @@ def _split_objects(
 
 def _out_of_scale(points: np.ndarray, config: PerceptionConfig) -> str | None:
     """Why an object with visible points (N, 3) [m] is too large or too far to be mapped, or None."""
-    low, high = column_quantiles(points, 0.01, 0.99)
-    size, distance = float((high - low).max()), float(np.median(points[:, 2]))
+    low, middle, high = column_quantiles(points, 0.01, 0.5, 0.99)
+    size, distance = float((high - low).max()), float(middle[2])
     if size > config.largest_object:
         return f"{size:.2f} m in size, at most {config.largest_object:g} m are mapped (largest_object)"
     noise = config.depth_noise * distance**2

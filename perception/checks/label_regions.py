@@ -56,18 +56,13 @@ def label_regions(points: np.ndarray, labels: np.ndarray) -> list[LabelRegion]:
 
 def _region(label: int, own: np.ndarray) -> LabelRegion:
     columns = np.ascontiguousarray(own.T)  # sums over all points take a fraction of the time
-    low, high = _trimmed(columns)
+    low, middle, high = column_quantiles(own, TRIM[0], 0.5, TRIM[1])
     inner = columns[:, ((columns >= low[:, None]) & (columns <= high[:, None])).all(0)]
     if inner.shape[1] < 10:
         inner = columns
     centre = inner.mean(1)
     from_centre = inner - centre[:, None]
     axes = np.linalg.eigh(from_centre @ from_centre.T)[1]
-    a, b = _trimmed(axes.T @ (columns - centre[:, None]))
+    a, b = column_quantiles((own - centre) @ axes, *TRIM)
     order = np.argsort(a - b)
-    return LabelRegion(label, own, float(np.median(columns[2])), (b - a)[order], centre, axes[:, 0])
-
-
-def _trimmed(columns: np.ndarray) -> np.ndarray:
-    """Least and greatest coordinates (2, 3) of points (3, N), but for the share that is trimmed."""
-    return column_quantiles(columns.T, *TRIM)
+    return LabelRegion(label, own, float(middle[2]), (b - a)[order], centre, axes[:, 0])
