@@ -6,9 +6,10 @@ import numpy as np
 
 from perception.camera import Camera
 from perception.config import PerceptionConfig
-from perception.depth_edges import border_pairs, depth_jump
+from perception.depth_edges import beyond_mask, depth_jump
 from perception.joining import connected_points
 from perception.observation import SupportPlane
+from perception.quantiles import column_quantiles
 
 PIECE_SHARE = 0.02
 """A piece parted from the main cluster must have this share of its pixels to be taken back."""
@@ -41,12 +42,12 @@ def main_cluster(
     keep[size.argmax()] = True  # ties go to the piece met first in the image
     candidate = np.flatnonzero(~keep & (size >= config.minimum_pixels) & (size >= PIECE_SHARE * size.max()))
     if candidate.size:
-        leak = _leak_share(flat, labels, pixels, cluster, support, camera, config)
+        leak = _leak_share(flat, raw, pixels, cluster, support, camera, config)
         for piece in candidate[np.argsort(-size[candidate], kind="stable")]:
             core, part = own[keep[cluster]], own[cluster == piece]
             start, end = closest_pair(core, part)
             gap = float(np.linalg.norm(end - start))
-            near = NEAR_SHARE * float(np.linalg.norm(np.ptp(np.quantile(core, [0.05, 0.95], axis=0), axis=0)))
+            near = NEAR_SHARE * float(np.linalg.norm(np.ptp(column_quantiles(core, 0.05, 0.95), axis=0)))
             if gap > config.split_gap:
                 continue
             keep[piece] = (leak[piece] < LEAK_SHARE and gap < near) or covered(
@@ -66,7 +67,7 @@ def _euclidean_clusters(points: np.ndarray, camera: Camera, config: PerceptionCo
 
 def _leak_share(
     flat: np.ndarray,
-    labels: np.ndarray,
+    raw: np.ndarray,
     pixels: np.ndarray,
     cluster: np.ndarray,
     support: SupportPlane | None,
@@ -78,18 +79,12 @@ def _leak_share(
     A mask that bleeds takes a strip of the surface behind, which goes on beyond the mask. An object's
     own piece ends there: in a depth jump, or on the table, which does not count.
     """
-    region = np.zeros(labels.shape, np.int32)
-    region.reshape(-1)[pixels] = cluster + 1
-    inner, outer = border_pairs(region)
-    raw = labels.reshape(-1)
-    outside = raw[inner] != raw[outer]
-    inner, outer = inner[outside], outer[outside]
-    step = np.abs(flat[outer, 2] - flat[inner, 2])
-    leak = step < depth_jump(flat[inner, 2], camera, config)
+    which, outer = beyond_mask(pixels, raw, camera.width)
+    depth = flat[pixels[which], 2]
+    leak = np.abs(flat[outer, 2] - depth) < depth_jump(depth, camera, config)
     if support is not None:
         leak &= np.abs(flat[outer] @ support.normal + support.offset) > config.plane_threshold
-    of = region.reshape(-1)[inner] - 1
-    count = int(cluster.max()) + 1
+    of, count = cluster[which], int(cluster.max()) + 1
     return np.bincount(of, weights=leak, minlength=count) / np.maximum(1, np.bincount(of, minlength=count))
 
 

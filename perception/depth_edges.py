@@ -69,6 +69,27 @@ def joined_neighbours(
         return np.abs(np.diff(depth, axis=1)) < jump[:, 1:], np.abs(np.diff(depth, axis=0)) < jump[1:]
 
 
+def beyond_mask(pixels: np.ndarray, raw: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Neighbours across the border of a mask (E,): which of its pixels, and the flat index beyond it.
+
+    pixels: (N,) flat indices, of one label; raw: (H * W,) labels; width: of the image.
+    """
+    column = pixels % width
+    which, outer = [], []
+    for step, inside in (
+        (-1, column > 0),
+        (1, column < width - 1),
+        (-width, pixels >= width),
+        (width, pixels < len(raw) - width),
+    ):
+        own = np.flatnonzero(inside)
+        other = pixels[own] + step
+        beyond = raw[other] != raw[pixels[0]]
+        which.append(own[beyond])
+        outer.append(other[beyond])
+    return np.concatenate(which), np.concatenate(outer)
+
+
 def border_pairs(region: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Flat indices (E,) of neighbouring pixels: inside a region, and the one next to it that is not.
 
