@@ -15,7 +15,7 @@ from solids import reconstructed_tabletop
 from mapping.errors import DataError
 from reconstruction.scene import beyond_its_mesh
 from reconstruction.surface.closed_solid import ClosedSolid
-from reconstruction.surface.parts import parts_to_keep
+from reconstruction.surface.parts import label, parts_to_keep
 from sim_scenes import convex_parts
 from sim_scenes.convex_parts import collision_file, is_whole
 from sim_scenes.objects import fetch
@@ -186,12 +186,11 @@ def test_small_parts_that_were_seen_are_delivered() -> None:
     parts[20:23, 5:7, 5:7] = 2  # seen
     parts[30:33, 5:7, 5:7] = 3  # not seen
     parts[36, 5, 5] = 4  # a stray point
-    sizes = np.bincount(parts.ravel())
-    sizes[0] = 0
+    found = label(np.where(parts > 0, 1, -1).astype(np.float32))
     seen = np.concatenate([np.tile([21, 5, 5], (30, 1)), [[36, 5, 5]], [[500, 0, 0]], [[-3, 1, 1]]])
-    assert parts_to_keep(parts, sizes, 0.05, seen).tolist() == [1, 2]
-    assert parts_to_keep(parts, sizes, 0.05, None).tolist() == [1]
-    assert parts_to_keep(parts, sizes, 0.0, None).tolist() == [1, 2, 3, 4]
+    assert parts_to_keep(found, parts.shape, 0.05, seen).tolist() == [1, 2]
+    assert parts_to_keep(found, parts.shape, 0.05, None).tolist() == [1]
+    assert parts_to_keep(found, parts.shape, 0.0, None).tolist() == [1, 2, 3, 4]
 
 
 @pytest.mark.parametrize(("points", "there"), [(40, True), (0, False)])

@@ -41,10 +41,10 @@ class ClosedSolid:
             return None
         # Nothing but outside lies beyond: the steps that follow work on the occupied part alone, framed.
         values, first = _framed(log_odds, occupied)
-        parts, sizes = label(values)
-        kept = parts_to_keep(parts, sizes, smallest_part, None if cells is None else cells - first)
-        if len(kept) < len(sizes) - 1:
-            drop(values, parts, sizes, kept)
+        parts = label(values)
+        kept = parts_to_keep(parts, values.shape, smallest_part, None if cells is None else cells - first)
+        if len(kept) < len(parts.sizes) - 1:
+            drop(values, parts, kept)
             occupied = extent(values)
             assert occupied is not None  # the largest part stays
             x, y, z = (slice(part.start - 1, part.stop + 1) for part in occupied)
