@@ -17,7 +17,7 @@ def nodes_of_cells(cells: np.ndarray, factor: int) -> np.ndarray:
         for j in range(ny):
             filled[i, j] = cells[i, j].any()
     nodes = np.empty(height * width * depth, np.int64)
-    held = np.zeros(depth, np.bool_)
+    held = np.empty(nz, np.bool_)
     count = 0
     for i in range(height):
         for j in range(width):
@@ -26,16 +26,17 @@ def nodes_of_cells(cells: np.ndarray, factor: int) -> np.ndarray:
             for a in range(max((i - 1) // factor, 0), min(i // factor, nx - 1) + 1):
                 for b in range(max((j - 1) // factor, 0), min(j // factor, ny - 1) + 1):
                     if filled[a, b]:
-                        some = True
                         for k in range(nz):
-                            for step in range(cells[a, b, k] * (factor + 1)):
-                                held[factor * k + step] = True
+                            held[k] = cells[a, b, k] or (some and held[k])
+                        some = True
             if some:
-                first = (i * width + j) * depth
-                for k in range(depth):
-                    nodes[count] = first + k
-                    count += held[k]
-                    held[k] = False
+                node = (i * width + j) * depth
+                for k in range(nz):
+                    if held[k]:
+                        for step in range(k > 0 and held[k - 1], factor + 1):
+                            nodes[count] = node + step
+                            count += 1
+                    node += factor
     return nodes[:count].copy()
 
 
@@ -69,27 +70,25 @@ def interpolated(values: np.ndarray, factor: int, nodes: np.ndarray) -> np.ndarr
     rest = np.float32(1) - share
     found = np.empty(len(nodes), np.float32)
     row, first = -1, -depth  # the fine row, and its first node: divisions would take most of the time
-    i = i_next = j = j_next = a = b = 0
+    one = two = three = four = values[0, 0]  # the coarse rows around it
+    a = b = 0
     for m in range(len(nodes)):
         if nodes[m] >= first + depth:
             while nodes[m] >= first + depth:
                 first += depth
                 row += 1
-            i, a, j, b = (
-                row // width // factor,
-                row // width % factor,
-                row % width // factor,
-                row % width % factor,
-            )
+            i, a = row // width // factor, row // width % factor
+            j, b = row % width // factor, row % width % factor
             # On the last node there is no next one, and no share of it.
             i_next, j_next = min(i + 1, nx - 1), min(j + 1, ny - 1)
-        k = (nodes[m] - first) // factor
+            one, two = values[i, j], values[i, j_next]
+            three, four = values[i_next, j], values[i_next, j_next]
+        k = np.uint32(nodes[m] - first) // np.uint32(factor)
         c, k_next = nodes[m] - first - k * factor, min(k + 1, nz - 1)
-        one = values[i, j, k_next] * share[c] + values[i, j, k] * rest[c]
-        two = values[i, j_next, k_next] * share[c] + values[i, j_next, k] * rest[c]
-        three = values[i_next, j, k_next] * share[c] + values[i_next, j, k] * rest[c]
-        four = values[i_next, j_next, k_next] * share[c] + values[i_next, j_next, k] * rest[c]
-        near, far = two * share[b] + one * rest[b], four * share[b] + three * rest[b]
+        near = (two[k_next] * share[c] + two[k] * rest[c]) * share[b]
+        near += (one[k_next] * share[c] + one[k] * rest[c]) * rest[b]
+        far = (four[k_next] * share[c] + four[k] * rest[c]) * share[b]
+        far += (three[k_next] * share[c] + three[k] * rest[c]) * rest[b]
         found[m] = far * share[a] + near * rest[a]
     return found
 
