@@ -10,7 +10,7 @@ from mapping.compiled import compiled
 from reconstruction.surface.field import extent
 from reconstruction.surface.fusion import places
 from reconstruction.surface.isosurface import crossed_cells, isosurface
-from reconstruction.surface.neighbours import nodes_off
+from reconstruction.surface.neighbours import nodes_off, smoothed
 from reconstruction.surface.parts import drop, label
 from reconstruction.surface.refined import values_at
 
@@ -73,6 +73,12 @@ def test_the_extent_holds_all_nodes_above_zero() -> None:
     values[1, 2, 3] = values[2, 2, 0] = 1
     expected = (slice(1, 3), slice(2, 3), slice(0, 4))
     assert extent(values) == extent(values > 0) == extent(np.asfortranarray(values)) == expected
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_smoothing_is_scipys_to_the_byte(shape: tuple[int, ...]) -> None:
+    values = np.random.default_rng(2).normal(size=shape).astype(np.float32)
+    np.testing.assert_array_equal(smoothed(values, 1.0), ndimage.gaussian_filter(values, 1.0))
 
 
 def test_values_between_nodes_are_those_of_scipy() -> None:

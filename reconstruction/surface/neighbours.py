@@ -68,20 +68,59 @@ def _greatest_around(values: np.ndarray) -> np.ndarray:
     return wide
 
 
+def smoothed(values: np.ndarray, sigma: float) -> np.ndarray:
+    """A Gaussian of some nodes over (nx, ny, nz) float32, mirrored at the border: as scipy.ndimage's."""
+    reach = int(4 * sigma + 0.5)
+    weights = np.exp(-0.5 / sigma**2 * np.arange(-reach, reach + 1) ** 2)
+    weights = (weights / weights.sum())[reach:]
+    along = values
+    for _ in range(3):  # along the first axis, which then becomes the last
+        along = np.ascontiguousarray(np.moveaxis(_smoothed_along(np.ascontiguousarray(along), weights), 0, 2))
+    return along
+
+
+@compiled
+def _smoothed_along(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The same along the first axis alone; weights: of the node itself, of both beside it, and so on."""
+    nx, ny, nz = values.shape
+    found, total = np.empty_like(values), np.empty(nz, np.float64)
+    for i in range(nx):
+        for j in range(ny):
+            own = values[i, j]
+            for k in range(nz):
+                total[k] = own[k] * weights[0]
+            for step in range(len(weights) - 1, 0, -1):
+                before, after = values[_mirrored(i - step, nx), j], values[_mirrored(i + step, nx), j]
+                for k in range(nz):
+                    total[k] += (np.float64(before[k]) + np.float64(after[k])) * weights[step]
+            for k in range(nz):
+                found[i, j, k] = total[k]
+    return found
+
+
+@compiled
+def _mirrored(index: int, count: int) -> int:
+    """An index beyond an axis of some length, mirrored at its ends."""
+    index %= 2 * count
+    return min(index, 2 * count - 1 - index)
+
+
 def nodes_off(solid: np.ndarray) -> np.ndarray:
     """How many steps (nx, ny, nz) uint8, also across corners, nodes are from the nearest of solid ones, bool;
     255 and more are 255, as all are where none is solid."""
-    off = np.pad(np.where(solid, 0, 255).astype(np.uint8), 1, constant_values=255)
-    least = np.empty(off.shape[2], np.uint8)
-    _sweep(off, least)
-    _sweep(off[::-1, ::-1, ::-1], least)  # from the other end: two sweeps find the least over all ways
+    off = np.full([count + 2 for count in solid.shape], 255, np.uint8)
+    off[1:-1, 1:-1, 1:-1][solid] = 0
+    for _ in range(2):  # from one end and from the other: two sweeps find the least over all ways
+        _sweep(off)
+        off = np.ascontiguousarray(off[::-1, ::-1, ::-1])
     return off[1:-1, 1:-1, 1:-1]
 
 
 @compiled
-def _sweep(off: np.ndarray, least: np.ndarray) -> None:
+def _sweep(off: np.ndarray) -> None:
     """Take into account, row after row, the neighbours that come before; the frame's nodes are no one's."""
     nx, ny, nz = off.shape
+    least = np.empty(nz, np.uint8)
     for i in range(1, nx - 1):
         for j in range(1, ny - 1):
             row, a, b, c, d = off[i, j], off[i, j - 1], off[i - 1, j - 1], off[i - 1, j], off[i - 1, j + 1]

@@ -6,13 +6,12 @@ Knows lattices and readings of a depth image.
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
 
 from mapping.compiled import compiled
 from reconstruction.surface.field import OUTSIDE, extent
 from reconstruction.surface.fusion import PER_METRE, places
 from reconstruction.surface.joint_surface import JointEdges
-from reconstruction.surface.neighbours import beside, nodes_off
+from reconstruction.surface.neighbours import beside, nodes_off, smoothed
 from reconstruction.surface.reading import FAR, Reading
 from reconstruction.surface.seen_surface import Edges
 from reconstruction.surface.tunnels import membranes
@@ -56,34 +55,43 @@ def with_unseen_walls(
         return None
     # A border of empty nodes, and nothing else beyond the solid: walls lie between its parts.
     first = np.array([part.start for part in box]) - 1
-    values = np.pad(log_odds[box], 1, constant_values=OUTSIDE)
+    values = np.full([part.stop - part.start + 2 for part in box], OUTSIDE, np.float32)
+    values[1:-1, 1:-1, 1:-1] = log_odds[box]
     solid = values > 0
-    hidden = np.zeros(values.shape, bool)
-    hidden[1:-1, 1:-1, 1:-1] = ~solid[1:-1, 1:-1, 1:-1]
-    nodes = np.flatnonzero(hidden)
-    points = places(nodes, values.shape, corner + spacing * first, spacing)
+    empty = np.zeros(values.shape, bool)
+    np.logical_not(solid[1:-1, 1:-1, 1:-1], out=empty[1:-1, 1:-1, 1:-1])
+    nodes = np.flatnonzero(empty)
+    lattice = values.shape, corner + spacing * first, spacing
     if len(nodes) > most_hidden:
-        few = np.count_nonzero(~np.isnan(_unpassed(points[::FEW], edges, seen)))
+        few = np.count_nonzero(~np.isnan(_unpassed(places(nodes[::FEW], *lattice), edges, seen)))
         if few > most_hidden // FEW:
             return None
-    reach = _unpassed(points, edges, seen)
-    hidden.reshape(-1)[nodes] = ~np.isnan(reach)
+    reach = np.full(values.shape, np.nan, np.float32)
+    reach.reshape(-1)[nodes] = _unpassed(places(nodes, *lattice), edges, seen)
     likely = np.clip(values, LEAST, 0)
     likely -= np.float32(FARTHER) * np.clip(nodes_off(solid) - 1, 0, REACH)
-    wall = membranes(solid, hidden, likely)
+    wall = membranes(solid, ~np.isnan(reach), likely)
     if not wall.any():
         return None
     level = np.clip(values, BESIDE, WITHIN)
     level[~(solid | beside(beside(wall)))] = BESIDE
     level[wall] = WITHIN
-    # No part of a new wall is where rays passed.
-    new = np.minimum(ndimage.gaussian_filter(level, SMOOTH).reshape(-1)[nodes], reach)
-    new = np.where(wall.reshape(-1)[nodes], np.fmax(new, HELD), new)
-    old = values.reshape(-1)
-    old[nodes] = np.fmax(old[nodes], new)
+    _add_walls(values.reshape(-1), smoothed(level, SMOOTH).reshape(-1), wall.reshape(-1), reach.reshape(-1))
     result = log_odds.copy()
     result[box] = values[1:-1, 1:-1, 1:-1]
     return result
+
+
+@compiled
+def _add_walls(values: np.ndarray, level: np.ndarray, wall: np.ndarray, reach: np.ndarray) -> None:
+    """Raise values (N,) to a level (N,), no farther than they reach (N,) before what was measured: no part of
+    a new wall is where rays passed, NaN."""
+    for node in range(len(values)):
+        if not np.isnan(reach[node]):
+            new = min(level[node], reach[node])
+            if wall[node]:
+                new = max(new, np.float32(HELD))
+            values[node] = max(values[node], new)
 
 
 def _unpassed(points: np.ndarray, edges: Edges | JointEdges, seen: np.ndarray) -> np.ndarray:
