@@ -38,6 +38,16 @@ def wrong_label_share(X: np.ndarray, y: np.ndarray, sizes: Sequence[float]) -> f
     return 0.0
 
 
+def true_labels(y: np.ndarray, shares: np.ndarray, wrong: float) -> np.ndarray:
+    """(N, C) probability of each class, given the label y (N,) and what a map makes of the place, shares
+    (N, C): by Bayes' rule where a share `wrong` of the labels became any other class alike."""
+    classes = shares.shape[1]
+    seen = np.full_like(shares, wrong / max(classes - 1, 1))
+    seen[np.arange(len(y)), y] = 1 - wrong
+    joint = shares * seen
+    return joint / joint.sum(axis=1, keepdims=True)
+
+
 def _counted(
     X: np.ndarray, y: np.ndarray, size: float
 ) -> tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -1,23 +1,40 @@
-"""A contrastive map of many points with kernels of several widths, hinge points only where points are.
+"""A contrastive map of many points with kernels of several shapes, hinge points only where points are.
 
-Knows points in R^d, classes and settings; must not know scans, meshes, files' layouts or what a class means.
+Knows points in space, classes and settings; must not know scans, meshes, files' layouts or what a class
+means.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import torch
 
-from mapping.baselines.hilbert import HilbertMap
-from mapping.config import FitConfig, ModelConfig
-from mapping.contramap import ContraMap
+from mapping.checks import checked_points
+from mapping.config import FitConfig
 from mapping.errors import ConfigError, DataError
-from mapping.kernels import cell_numbers
-from mapping.label_noise import disagreement, wrong_label_share
+from mapping.hashed_hinges import HashedHinges, filled_nodes, hinges_at, logits_at
+from mapping.label_noise import disagreement, true_labels, wrong_label_share
 from mapping.samples import merge_in_cells
-from mapping.settings import Checked, NotNegative, Positive, Share
+from mapping.settings import Checked, NotNegative, OpenShare, Positive, Share
+from mapping.softmax import FitReport
+from mapping.weighed_features import WeighedFeatures
+
+ABSENT = -30.0
+"""Logit of classes that no sample had."""
+LATTICE_ROWS = 2**20
+"""Lattice points that are asked for in one go."""
+
+BALL, POST, TRUNK, FLOOR, ROOM = (
+    (0.1, 0.1, 0.1),
+    (0.3, 0.3, 3.0),
+    (1.0, 1.0, 5.0),
+    (2.0, 2.0, 0.67),
+    (3.0,) * 3,
+)
+PLANK_ALONG, PLANK_ACROSS = (2.5, 0.5, 0.25), (0.5, 2.5, 0.25)
 
 
 @dataclass(frozen=True)
@@ -26,30 +43,38 @@ class MultiscaleConfig(Checked):
 
     SECTION = "semantic"
 
-    spacings: tuple[float, ...] = (0.2, 0.6, 2.0)
-    """Distance of hinge points at each scale [m]."""
-    amplitudes: tuple[float, ...] = (0.3, 0.6, 1.0)
-    """How readily each scale explains the data; small ones leave more to the wide kernels."""
+    spacings: tuple[tuple[float, ...], ...] = (BALL, POST, TRUNK, FLOOR, ROOM, PLANK_ALONG, PLANK_ACROSS)
+    """Distance of hinge points along x, y and z (up) [m] for each shape of kernel, which has that shape, too:
+    things stand upright, lie in layers, and go on along streets and walls."""
+    amplitudes: tuple[float, ...] = (0.3, 0.6, 1.0, 1.0, 1.5, 0.6, 0.6)
+    """How readily each shape explains the data; small ones leave more to the wide kernels."""
     width: Positive = 1.5
     """gamma times the squared spacing."""
-    stretch: tuple[float, ...] = (1.0, 1.0, 3.0)
-    """Axes are stretched by this before kernels see them: things lie in layers, so a kernel is flat."""
+    cutoff: OpenShare = 1e-2
+    """Features below this are dropped."""
     l2: Positive = 1e-6
     """Penalty of the weights where no label is wrong; it grows with the share of wrong labels found."""
-    wrong_label_share: Share = 0.02
-    """Share of wrong labels at which the penalty is twice as large."""
+    wrong_label_share: Share = 0.055
+    """Share of wrong labels at which the penalty is twice as large; it grows with its square."""
     mend_from: Share = 0.08
-    """With more wrong labels than this the map is fitted again without those it disbelieves."""
+    """With more wrong labels than this the map is fitted again to what its first fit makes of the labels."""
+    mended_penalty: Share = 0.3
+    """Penalty of that second fit, as a share of the first one's."""
+    label_cells: tuple[float, ...] = (0.2, 0.4)
+    """Cells [m] in which labels are compared to tell how many are wrong; the first is tried first."""
     class_balance: Share = 0.5
-    """Samples weigh as their class's count to the minus this: 0 as counted, 1 every class alike."""
-    merge: NotNegative = 0.3
-    """Data of one class in a cell of this share of the finest spacing become one weighted sample."""
+    """Samples weigh as their class's count to the minus this: 0 as counted, 1 every class alike. Not where
+    labels are mended: a rare class's wrong labels would outweigh its right ones."""
+    merge: NotNegative = 0.06
+    """Data of one class in a cell of this size [m] become one weighted sample."""
     noise_share: NotNegative = 0.1
     """Noise samples, and their whole weight, as a share of the data's."""
-    noise_reach: Positive = 1.0
-    """Noise is drawn within this many of the widest spacings of the hinge points."""
+    noise_cell: tuple[float, ...] = FLOOR
+    """Noise is drawn in cells of this size [m] that hold data, and in those around them."""
     doubt: Share = 0.2
     """Share of a sample's disagreement with its neighbours that becomes "uncertain" instead of its class."""
+    far_uncertainty: OpenShare = 0.95
+    """p(uncertain) out of reach of every hinge point."""
     fit: FitConfig = field(default_factory=lambda: FitConfig(tolerance=2e-4))
     """How the loss is minimised."""
 
@@ -62,23 +87,19 @@ class Whole:
     counts: np.ndarray
     wrong: float
 
+    @classmethod
+    def of(cls, X: np.ndarray, y: np.ndarray, classes: int, config: MultiscaleConfig) -> Whole:
+        """Found in points X (N, 3) [m] with labels y (N,)."""
+        return cls(np.bincount(y, minlength=classes), wrong_label_share(X, y, config.label_cells))
+
     def weights(self, balance: float) -> np.ndarray:
         """(C,) weight of a sample of each class, one on average."""
         rare = 1.0 / np.maximum(self.counts, 1) ** balance
         return rare * (self.counts.sum() / (rare * self.counts).sum())
 
 
-@dataclass(frozen=True)
-class Hinges:
-    """points: (H, d) in stretched coordinates; gamma, amplitude: (H,)."""
-
-    points: np.ndarray
-    gamma: np.ndarray
-    amplitude: np.ndarray
-
-
 class MultiscaleMap:
-    """Softmax over kernels of several widths; classes 0..C-1, and "uncertain" last unless `uncertain=False`.
+    """Softmax over kernels of several shapes; classes 0..C-1, and "uncertain" last unless `uncertain=False`.
 
     Without the uncertain class it is a Hilbert map of the same kernels.
     """
@@ -86,9 +107,15 @@ class MultiscaleMap:
     def __init__(self, config: MultiscaleConfig | None = None, uncertain: bool = True) -> None:
         self.config = config or MultiscaleConfig()
         self.uncertain = uncertain
-        self.model: ContraMap | None = None
+        self.report = FitReport()
+        self.hinges: HashedHinges | None = None
+        self.W = np.empty((0, 0), np.float32)
+        self.known = np.empty(0, np.int64)
+        self.classes = 0
         if not len(self.config.spacings) == len(self.config.amplitudes) > 0:
-            raise ConfigError("spacings and amplitudes must be as many numbers, one of each a scale")
+            raise ConfigError("semantic.spacings and .amplitudes must be as many, one of each a shape")
+        if any(len(one) != 3 or min(one) <= 0 for one in (*self.config.spacings, self.config.noise_cell)):
+            raise ConfigError("semantic.spacings and .noise_cell must be three lengths > 0 each: x, y and z")
 
     def fit(
         self,
@@ -98,152 +125,123 @@ class MultiscaleMap:
         rng: np.random.Generator,
         whole: Whole | None = None,
     ) -> MultiscaleMap:
-        """Learn from points X (N, d) with labels y (N,) in 0..classes-1; rng draws the noise samples.
+        """Learn from points X (N, 3) [m] with labels y (N,) in 0..classes-1; rng draws the noise samples.
 
         whole: of the data that these points are a part of, so that parts fitted alone agree at their seams.
         """
         config = self.config
-        X, y = self._stretched(X), np.asarray(y, np.int64)
+        X, y = _in_space(X), np.asarray(y, np.int64)
         if len(y) != len(X) or not len(X):
             raise DataError(f"wanted as many labels as points, and at least one; got {len(y)}, {len(X)}")
-        if whole is None:
-            whole = Whole(np.bincount(y, minlength=classes), wrong_label_share(X, y, config.spacings[:2]))
-        weights = whole.weights(config.class_balance)[y]
-        wrong, total = whole.wrong, int(whole.counts.sum())
-        X, y, weights = merge_in_cells(X, y, weights, config.merge * config.spacings[0])
-        X = X.astype(np.float32)
+        whole = whole or Whole.of(X, y, classes, config)
+        mend = whole.wrong > config.mend_from
+        weights = whole.weights(0.0 if mend else config.class_balance)[y]
+        if config.merge:
+            X, y, weights = merge_in_cells(X, y, weights, config.merge)
+        nodes = [filled_nodes(X, np.array(spacing)) for spacing in config.spacings]
+        spacings, amplitudes = np.array(config.spacings), np.array(config.amplitudes)
+        self.hinges = hinges_at(nodes, spacings, amplitudes, config.width, config.cutoff)
+        noise = np.empty((0, 3))
+        if self.uncertain:
+            noise = noise_around(X, np.array(config.noise_cell), int(config.noise_share * len(X)), rng)
         # The penalty stands beside a mean: a part with fewer samples needs a larger one for the same map.
-        share = total / weights.sum()
-        self._fit_samples(X, y, weights, classes, share * self._penalty(wrong), rng)
-        if wrong > config.mend_from:
-            kept = self._believed(X, y, wrong, classes)
-            X, y, weights = X[kept], y[kept], weights[kept]
-            left = 2 * config.wrong_label_share  # some wrong labels stay among the believed ones
-            self._fit_samples(X, y, weights, classes, share * self._penalty(left), rng)
+        l2 = config.l2 * (1 + (whole.wrong / config.wrong_label_share) ** 2)
+        l2 *= whole.counts.sum() / weights.sum()
+        self.classes, (self.known, y) = classes, np.unique(y, return_inverse=True)
+        samples = WeighedFeatures.of(X, weights, noise, self.hinges)
+        labels = np.eye(len(self.known), dtype=np.float32)[y]
+        self._fit_labels(samples, X, labels, l2)
+        if mend:
+            shares = torch.softmax(samples.times(self.W)[: len(X), : len(self.known)], 1)
+            labels = true_labels(y, shares.numpy(), whole.wrong)
+            self._fit_labels(samples, X, labels, config.mended_penalty * l2)
         return self
 
-    def _penalty(self, wrong: float) -> float:
-        return self.config.l2 * (1 + (wrong / self.config.wrong_label_share) ** 2)
-
-    def _believed(self, X: np.ndarray, y: np.ndarray, wrong: float, classes: int) -> np.ndarray:
-        """(N,) whether a label is likelier right than wrong, given what the map of all labels says there and
-        that a share `wrong` of them was drawn from all classes alike."""
+    def _fit_labels(self, samples: WeighedFeatures, X: np.ndarray, labels: np.ndarray, l2: float) -> None:
+        """Find the weights that explain labels (N, C) of data X (N, 3), shares of the classes they have."""
+        target = labels
         if self.uncertain:
-            right = self.fitted.predict_known(X)[0][np.arange(len(X)), y]
-        else:
-            right = self.fitted.predict_proba(X)[np.arange(len(X)), y]
-        return (1 - wrong) * right > wrong / classes
-
-    def _fit_samples(
-        self,
-        X: np.ndarray,
-        y: np.ndarray,
-        weights: np.ndarray,
-        classes: int,
-        l2: float,
-        rng: np.random.Generator,
-    ) -> None:
-        """Fit to samples X (N, d) in stretched coordinates with labels y (N,) and weights (N,)."""
-        config, hinges = self.config, hinges_near(X, self.config)
-        settings = ModelConfig(l2=l2, fit=config.fit)
-        if not self.uncertain:
-            self.model = HilbertMap(settings)
-            self._run(X, y, weights, hinges, classes)
-            return
-        noise = noise_around(hinges, config, int(config.noise_share * len(X)), rng)
-        doubt = config.doubt * disagreement(X, y, config.spacings[min(1, len(config.spacings) - 1)])
-        target = np.zeros((len(X) + len(noise), classes + 1), np.float32)
-        target[np.arange(len(X)), y] = 1 - doubt
-        target[: len(X), classes] = doubt
-        target[len(X) :, classes] = 1
-        weights = np.append(weights, np.full(len(noise), weights.mean()))
-        self.model = ContraMap(settings)
-        self._run(np.concatenate([X, noise]), target, weights, hinges, classes + 1)
-
-    def _run(self, X: np.ndarray, y: np.ndarray, weights: np.ndarray, hinges: Hinges, classes: int) -> None:
-        self.fitted.fit(
-            X,
-            y,
-            hinges=hinges.points,
-            gamma=hinges.gamma,
-            weights=weights,
-            classes=classes,
-            amplitude=hinges.amplitude,
-        )
+            doubt = self.config.doubt * disagreement(X, labels.argmax(1), self.config.label_cells[-1])
+            target = np.zeros((samples.count, labels.shape[1] + 1), np.float32)
+            target[: len(X), :-1] = (1 - doubt[:, None]) * labels
+            target[: len(X), -1] = doubt
+            target[len(X) :, -1] = 1
+        self.W, self.report = samples.fit(target, self._offset(), l2, self.config.fit)
 
     @property
-    def fitted(self) -> ContraMap:
-        """The map inside, in stretched coordinates."""
-        if self.model is None:
-            raise DataError("this map is not fitted yet; call fit(X, y, classes, rng)")
-        return self.model
+    def size(self) -> int:
+        """Numbers that the map keeps."""
+        return self.W.size + self._fitted().nodes.size
+
+    def logits(self, X: np.ndarray) -> torch.Tensor:
+        """Logits (N, C + 1) at points (N, 3) [m], the uncertain class last; (N, C) if there is none."""
+        found = logits_at(_in_space(X), self._fitted(), self.W, self._offset())
+        if len(self.known) < self.classes:
+            every = np.full((len(found), self.classes + self.uncertain), ABSENT, np.float32)
+            every[:, np.append(self.known, self.classes) if self.uncertain else self.known] = found
+            found = every
+        return torch.from_numpy(found)
 
     def predict_known(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Probabilities (N, C) of the classes but "uncertain" at points (N, d), and p(uncertain) (N,)."""
+        """Probabilities (N, C) of the classes but "uncertain" at points (N, 3) [m], and p(uncertain) (N,)."""
+        logits = self.logits(X)
         if self.uncertain:
-            return self.fitted.predict_known(self._stretched(X))
-        shares = self.fitted.predict_proba(self._stretched(X))
+            shares = torch.softmax(logits[:, :-1], 1).numpy()
+            return shares, torch.softmax(logits, 1)[:, -1].numpy()
+        shares = torch.softmax(logits, 1).numpy()
         return shares, 1 - shares.max(axis=1)
 
     def predict_proba(self, X: np.ndarray) -> np.ndarray:
-        """Class probabilities (N, C + 1) at points (N, d), the uncertain class last."""
-        return self.fitted.predict_proba(self._stretched(X))
+        """Class probabilities (N, C + 1) at points (N, 3) [m], the uncertain class last."""
+        return torch.softmax(self.logits(X), 1).numpy()
 
     def predict_lattice(self, axes: tuple[np.ndarray, ...]) -> np.ndarray:
-        """Class probabilities (*lattice, C + 1) on the lattice that d coordinate arrays span."""
-        stretched = (axis * factor for axis, factor in zip(axes, self.config.stretch))
-        return self.fitted.predict_lattice(tuple(stretched))
+        """Class probabilities (*lattice, C + 1) on the lattice that three coordinate arrays [m] span."""
+        shape = tuple(len(axis) for axis in axes)
+        out = np.empty((int(np.prod(shape)), self.classes + self.uncertain), np.float32)
+        for start in range(0, len(out), LATTICE_ROWS):
+            part = np.arange(start, min(start + LATTICE_ROWS, len(out)))
+            places = [axis[index] for axis, index in zip(axes, np.unravel_index(part, shape))]
+            out[part] = self.predict_proba(np.stack(places, axis=1))
+        return out.reshape(*shape, -1)
 
     def save(self, path: Path) -> None:
-        """Write the map (in stretched coordinates) as one .npz file."""
-        self.fitted.save(path)
+        """Write the map as one .npz file, for `load`."""
+        from mapping.multiscale_file import write_hinges
+
+        write_hinges(path, self._fitted(), self.W, self.known, self.classes)
 
     def load(self, path: Path) -> MultiscaleMap:
-        """Take up a map that `save` wrote with the same settings."""
-        from mapping.model_io import load_map
+        """Take up a map that `save` wrote. Raises DataError for other files."""
+        from mapping.multiscale_file import read_hinges
 
-        self.model = load_map(path)
+        self.hinges, self.W, self.known, self.classes = read_hinges(path)
+        self.uncertain = self.W.shape[1] > len(self.known)
         return self
 
-    def _stretched(self, X: np.ndarray) -> np.ndarray:
-        X = np.asarray(X)
-        if X.ndim != 2 or X.shape[1] != len(self.config.stretch):
-            raise DataError(f"points must have shape (N, {len(self.config.stretch)}), got {X.shape}")
-        return (X * np.asarray(self.config.stretch)).astype(np.float32)
+    def _fitted(self) -> HashedHinges:
+        if self.hinges is None:
+            raise DataError("this map is not fitted yet; call fit(X, y, classes, rng)")
+        return self.hinges
+
+    def _offset(self) -> np.ndarray:
+        # Kernels vanish far away and leave softmax(offset): fixed, not fitted.
+        offset = np.zeros(len(self.known) + self.uncertain, np.float32)
+        if self.uncertain:
+            share = self.config.far_uncertainty
+            offset[-1] = np.log(share / (1 - share) * len(self.known))
+        return offset
 
 
-def in_plane(config: MultiscaleConfig) -> MultiscaleConfig:
-    """The same settings for points in the plane, where no axis is stretched."""
-    return replace(config, stretch=(1.0, 1.0))
-
-
-def hinges_near(X: np.ndarray, config: MultiscaleConfig) -> Hinges:
-    """Lattice points whose cells hold points (N, d), for every scale."""
-    points, gamma, amplitude = [], [], []
-    for spacing, loudness in zip(config.spacings, config.amplitudes):
-        found = filled_cells(X, spacing) * np.float32(spacing)
-        points.append(found.astype(np.float32))
-        gamma.append(np.full(len(found), config.width / spacing**2, np.float32))
-        amplitude.append(np.full(len(found), loudness, np.float32))
-    return Hinges(*(np.concatenate(parts) for parts in (points, gamma, amplitude)))
-
-
-def filled_cells(X: np.ndarray, size: float) -> np.ndarray:
-    """Numbers (M, d) int64 of the cells, centred on multiples of `size`, that hold points (N, d)."""
-    cell = np.rint(X / size).astype(np.int64)
-    _, first = np.unique(cell_numbers(cell - cell.min(0)), return_index=True)
-    return cell[first]
-
-
-def noise_around(
-    hinges: Hinges, config: MultiscaleConfig, count: int, rng: np.random.Generator
-) -> np.ndarray:
-    """Points (count, d), spread over the cells around the hinge points of the widest scale."""
-    spacing = max(config.spacings)
-    widest = hinges.points[hinges.gamma == hinges.gamma.min()]
-    reach = int(np.ceil(config.noise_reach))
-    steps = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * widest.shape[1]), -1)
-    around = widest[:, None] + spacing * steps.reshape(-1, widest.shape[1])
-    cells = filled_cells(around.reshape(-1, widest.shape[1]), spacing)
+def noise_around(X: np.ndarray, cell: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Points (count, 3), spread over the cells (3,) [m] that hold points X (N, 3), and those around them."""
+    steps = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), -1).reshape(-1, 3)
+    cells = filled_nodes((filled_nodes(X, cell)[:, None] + steps).reshape(-1, 3), 1.0)
     chosen = cells[rng.integers(0, len(cells), count)]
-    return ((chosen + rng.uniform(-0.5, 0.5, chosen.shape)) * spacing).astype(np.float32)
+    return np.asarray((chosen + rng.uniform(-0.5, 0.5, chosen.shape)) * cell)
+
+
+def _in_space(X: np.ndarray) -> np.ndarray:
+    """Points (N, 3) as float64: float32 cannot tell places in a city apart."""
+    checked_points(X, dimensions=3)
+    return np.ascontiguousarray(X, np.float64)

@@ -11,10 +11,10 @@ import torch
 from mapping.config import ModelConfig
 from mapping.contramap import ContraMap
 from mapping.errors import ConfigError, DataError
+from mapping.hashed_hinges import features_at, filled_nodes, hinges_at, logits_at
 from mapping.kernels import blocks, dense_features
-from mapping.label_noise import disagreement, wrong_label_share
-from mapping.multiscale import MultiscaleConfig, MultiscaleMap, hinges_near, noise_around
-from mapping.sparse_features import sparse_features
+from mapping.label_noise import disagreement, true_labels, wrong_label_share
+from mapping.multiscale import MultiscaleConfig, MultiscaleMap, noise_around
 
 RNG = np.random.default_rng(0)
 
@@ -47,26 +47,36 @@ def test_the_map_knows_the_street_and_not_the_sky(fitted):
     assert fitted.predict_known(sky)[1].min() > 0.9 > np.median(uncertain)
 
 
-def test_sparse_features_of_scales_are_the_dense_ones():
+def test_hashed_features_are_the_dense_ones():
     X, _ = street(300)
-    X = X.astype(np.float32)
-    hinges = hinges_near(X, MultiscaleConfig())
-    found = sparse_features(X, hinges.points, hinges.gamma, 3e-3, torch.device("cpu"))
-    W = RNG.normal(size=(len(hinges.points), 2)).astype(np.float32)
-    squared = ((X[:, None, :].astype(float) - hinges.points) ** 2).sum(2)
-    phi = np.exp(-hinges.gamma * squared)
+    X = X + np.array([5000.0, -300.0, 20.0])  # as far away as a city's other end
+    spacings, amplitude = np.array([(0.2, 0.2, 0.2), (0.3, 0.4, 2.0)]), np.array([0.5, 1.0])
+    hinges = hinges_at([filled_nodes(X, spacing) for spacing in spacings], spacings, amplitude, 1.5, 3e-3)
+    asked = X + RNG.normal(0, 0.2, X.shape)  # also where no hinge point is at the nearest node
+    phi = np.zeros((len(asked), len(hinges.nodes)))
+    for t, spacing in enumerate(spacings):
+        own = slice(hinges.first[t], hinges.first[t + 1])
+        gap = asked[:, None] / spacing - hinges.nodes[own]
+        phi[:, own] = np.exp(-1.5 * (gap**2).sum(2))
+    phi[np.abs(phi - 3e-3) < 1e-6] = 0  # on the edge of reach
     phi[phi <= 3e-3] = 0
-    out = np.empty((len(X), 2))
-    out[found.order.numpy()] = found.times(torch.from_numpy(W)).numpy()
-    np.testing.assert_allclose(out, phi @ W, atol=2e-3)
-    np.testing.assert_allclose(np.sort(found.strongest.numpy()), np.sort(phi.max(1)), atol=1e-4)
+    ends, columns, values, strongest = features_at(asked, hinges)
+    found = np.zeros_like(phi)
+    found[np.repeat(np.arange(len(asked)), np.diff(ends)), columns] = values
+    loud = np.repeat(amplitude, np.diff(hinges.first))
+    np.testing.assert_allclose(found, phi * loud, atol=4e-3 * loud.max())
+    assert np.median(np.abs(found - phi * loud)[phi > 0]) < 1e-5
+    np.testing.assert_allclose(strongest, phi.max(1), atol=4e-3)
+    W = RNG.normal(size=(phi.shape[1], 4)).astype(np.float32)
+    offset = np.arange(4, dtype=np.float32)
+    np.testing.assert_allclose(logits_at(asked, hinges, W, offset), found @ W + offset, atol=1e-4)
 
 
 def test_lattice_and_points_agree(fitted):
     axes = (np.array([3.0, 6.0]), np.array([0.0, 3.9]), np.array([0.0, 1.0, 2.0]))
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     lattice = fitted.predict_lattice(axes).reshape(-1, 4)
-    np.testing.assert_allclose(lattice, fitted.predict_proba(points), atol=0.05)
+    np.testing.assert_allclose(lattice, fitted.predict_proba(points), atol=1e-6)
 
 
 def test_wrong_labels_are_mended():
@@ -96,16 +106,34 @@ def test_same_seed_same_map_and_files(tmp_path, fitted):
     np.testing.assert_array_equal(again.predict_proba(asked), fitted.predict_proba(asked))
     fitted.save(tmp_path / "map.npz")
     loaded = MultiscaleMap().load(tmp_path / "map.npz")
-    np.testing.assert_allclose(loaded.predict_proba(asked), fitted.predict_proba(asked), atol=1e-6)
+    np.testing.assert_array_equal(loaded.predict_proba(asked), fitted.predict_proba(asked))
+    np.savez(tmp_path / "other.npz", W=np.zeros(3))
+    with pytest.raises(DataError, match="format"):
+        MultiscaleMap().load(tmp_path / "other.npz")
 
 
-def test_noise_lies_around_the_hinge_points():
-    config = MultiscaleConfig()
-    hinges = hinges_near(street(200)[0], config)
-    noise = noise_around(hinges, config, 500, np.random.default_rng(0))
-    widest = hinges.points[hinges.gamma == hinges.gamma.min()]
-    gap = np.abs(noise[:, None] - widest).max(2).min(1)
-    assert gap.max() <= 1.5 * max(config.spacings) + 1e-5
+def test_noise_lies_around_the_points():
+    X, _ = street(200)
+    cell = np.array([2.0, 2.0, 0.67])
+    noise = noise_around(X, cell, 500, np.random.default_rng(0))
+    gap = (np.abs(noise[:, None] - X) / cell).max(2).min(1)
+    assert gap.max() <= 2 + 1e-5
+    assert gap.max() > 1
+
+
+def test_a_class_without_samples_is_never_the_answer():
+    X, y = street(500)
+    model = MultiscaleMap().fit(X, 2 * y, 6, np.random.default_rng(1))
+    proba = model.predict_proba(X[::20])
+    assert proba.shape[1] == 7
+    assert proba[:, [1, 3, 5]].max() < 1e-6
+    assert (proba[:, :-1].argmax(1) == 2 * y[::20]).mean() > 0.95
+
+
+def test_true_labels_follow_bayes():
+    shares = np.array([[0.9, 0.1], [0.5, 0.5]], np.float32)
+    mended = true_labels(np.array([1, 0]), shares, 0.2)
+    np.testing.assert_allclose(mended, [[0.9 * 0.2 / 0.26, 0.1 * 0.8 / 0.26], [0.8, 0.2]], rtol=1e-5)
 
 
 def test_amplitudes_lower_the_penalty():
@@ -133,8 +161,10 @@ def test_blocks_find_all_that_is_near_however_many_there_are():
 
 
 def test_bad_input_is_refused():
-    with pytest.raises(ConfigError, match="as many numbers"):
+    with pytest.raises(ConfigError, match="as many, one"):
         MultiscaleMap(replace(MultiscaleConfig(), amplitudes=(1.0,)))
+    with pytest.raises(ConfigError, match="three lengths"):
+        MultiscaleMap(replace(MultiscaleConfig(), spacings=((0.1, 0.1),), amplitudes=(1.0,)))
     with pytest.raises(DataError, match=r"\(N, 3\)"):
         MultiscaleMap().fit(np.zeros((4, 2)), np.zeros(4, int), 2, RNG)
     with pytest.raises(DataError, match="as many labels"):

@@ -90,7 +90,6 @@ def map_scans(
     import numpy as np
     from tqdm import tqdm
 
-    from mapping.label_noise import wrong_label_share
     from mapping.multiscale import MultiscaleConfig, Whole
     from tools.semantic.inputs import read_scans
     from tools.semantic.pictures import draw_above, record_scans, write_cloud
@@ -104,10 +103,9 @@ def map_scans(
     X = np.concatenate([cloud.points for cloud in clouds]).astype(np.float32)
     y = np.concatenate([cloud.labels for cloud in clouds])
     config = MultiscaleConfig()
-    stretched = X * np.asarray(config.stretch, np.float32)
-    wrong = wrong_label_share(stretched, y, config.spacings[:2])
+    whole = Whole.of(X, y, len(names), config)
     plan = plan_tiles(X, voxel, tile, overlap)
-    job = Job(out, plan, config, Whole(np.bincount(y, minlength=len(names)), wrong), seed)
+    job = Job(out, plan, config, whole, seed)
     _prepare(job, X, y, overwrite)
     create_store(job, names)
     tiles = list(plan.tiles())
@@ -126,7 +124,7 @@ def map_scans(
         "scans": len(clouds),
         "points": len(X),
         "skipped": skipped,
-        "wrong_label_share": wrong,
+        "wrong_label_share": whole.wrong,
         "tiles": len(tiles),
         "voxels": list(plan.counts),
         "voxel_m": voxel,

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from mapping.files import write_atomically
-from mapping.multiscale import MultiscaleConfig, MultiscaleMap, Whole, filled_cells
+from mapping.hashed_hinges import filled_nodes
+from mapping.multiscale import MultiscaleConfig, MultiscaleMap, Whole
 
 NOTHING = 255
 """Label of voxels that no point is near; their p(uncertain) is 1."""
@@ -129,7 +130,7 @@ def write_tile(job: Job, tile: tuple[int, int]) -> None:
     label = np.full(stop - start, NOTHING, np.uint8)
     uncertain = np.ones(stop - start, np.float16)
     if len(near):
-        cell = filled_cells(near - np.asarray(plan.low) - plan.voxel / 2, plan.voxel)
+        cell = filled_nodes(near - np.asarray(plan.low) - plan.voxel / 2, plan.voxel)
         steps = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), -1).reshape(-1, 3)
         cell = np.unique((cell[:, None] + steps).reshape(-1, 3), axis=0)
         cell = cell[((cell >= start) & (cell < stop)).all(axis=1)]

@@ -47,8 +47,7 @@ class _Kernels:
 
     @property
     def size(self) -> int:
-        fitted = self.model.fitted
-        return fitted.W.numel() + fitted.hinges.size
+        return self.model.size
 
 
 class _Neighbours:
