@@ -82,15 +82,17 @@ class MultiscaleConfig(Checked):
 @dataclass(frozen=True)
 class Whole:
     """What a part of the data must know of the whole. counts: (C,) points of each class; wrong: share of
-    labels that are wrong."""
+    labels that are wrong; noise_cells: number of cells that noise is drawn in."""
 
     counts: np.ndarray
     wrong: float
+    noise_cells: int
 
     @classmethod
     def of(cls, X: np.ndarray, y: np.ndarray, classes: int, config: MultiscaleConfig) -> Whole:
         """Found in points X (N, 3) [m] with labels y (N,)."""
-        return cls(np.bincount(y, minlength=classes), wrong_label_share(X, y, config.label_cells))
+        cells = cells_around(X, np.array(config.noise_cell))
+        return cls(np.bincount(y, minlength=classes), wrong_label_share(X, y, config.label_cells), len(cells))
 
     def weights(self, balance: float) -> np.ndarray:
         """(C,) weight of a sample of each class, one on average."""
@@ -127,7 +129,8 @@ class MultiscaleMap:
     ) -> MultiscaleMap:
         """Learn from points X (N, 3) [m] with labels y (N,) in 0..classes-1; rng draws the noise samples.
 
-        whole: of the data that these points are a part of, so that parts fitted alone agree at their seams.
+        whole: of the data that these points are a part of: parts fitted alone, with rng of the same seed, have
+        the same noise samples and agree at their seams.
         """
         config = self.config
         X, y = _in_space(X), np.asarray(y, np.int64)
@@ -141,12 +144,11 @@ class MultiscaleMap:
         nodes = [filled_nodes(X, np.array(spacing)) for spacing in config.spacings]
         spacings, amplitudes = np.array(config.spacings), np.array(config.amplitudes)
         self.hinges = hinges_at(nodes, spacings, amplitudes, config.width, config.cutoff)
-        noise = np.empty((0, 3))
+        noise, total = np.empty((0, 3)), int(whole.counts.sum())
         if self.uncertain:
-            noise = noise_around(X, np.array(config.noise_cell), int(config.noise_share * len(X)), rng)
-        # The penalty stands beside a mean: a part with fewer samples needs a larger one for the same map.
-        l2 = config.l2 * (1 + (whole.wrong / config.wrong_label_share) ** 2)
-        l2 *= whole.counts.sum() / weights.sum()
+            seed, each = int(rng.integers(2**62)), config.noise_share * total / whole.noise_cells
+            noise = noise_around(X, np.array(config.noise_cell), each, seed)
+        l2 = total * config.l2 * (1 + (whole.wrong / config.wrong_label_share) ** 2)
         self.classes, (self.known, y) = classes, np.unique(y, return_inverse=True)
         samples = WeighedFeatures.of(X, weights, noise, self.hinges)
         labels = np.eye(len(self.known), dtype=np.float32)[y]
@@ -233,12 +235,40 @@ class MultiscaleMap:
         return offset
 
 
-def noise_around(X: np.ndarray, cell: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Points (count, 3), spread over the cells (3,) [m] that hold points X (N, 3), and those around them."""
+def cells_around(X: np.ndarray, cell: np.ndarray) -> np.ndarray:
+    """Numbers (M, 3) int64 of the cells (3,) [m] that hold points X (N, 3), and of those around them."""
     steps = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), -1).reshape(-1, 3)
-    cells = filled_nodes((filled_nodes(X, cell)[:, None] + steps).reshape(-1, 3), 1.0)
-    chosen = cells[rng.integers(0, len(cells), count)]
-    return np.asarray((chosen + rng.uniform(-0.5, 0.5, chosen.shape)) * cell)
+    return filled_nodes((filled_nodes(X, cell)[:, None] + steps).reshape(-1, 3), 1.0)
+
+
+def noise_around(X: np.ndarray, cell: np.ndarray, each: float, seed: int) -> np.ndarray:
+    """Points (M, 3), on average `each` in every one of `cells_around`; in a cell the same whatever others
+    there are."""
+    cells, parts = cells_around(X, cell), []
+    for repeat in range(int(np.ceil(each))):
+        chance = _chances(cells, seed + repeat)
+        kept = chance[:, 3] < each - repeat
+        parts.append((cells[kept] + chance[kept, :3] - 0.5) * cell)
+    return np.concatenate(parts)
+
+
+def _chances(cells: np.ndarray, seed: int) -> np.ndarray:
+    """Numbers (M, 4) in [0, 1) of cells (M, 3), even and unrelated: the splitmix64 generator, seeded by them."""
+    state = np.full(len(cells), seed, np.uint64)
+    out = np.empty((len(cells), 4))
+    with np.errstate(over="ignore"):
+        for step in range(7):
+            if step < 3:
+                state ^= cells[:, step].astype(np.uint64)
+            state += np.uint64(0x9E3779B97F4A7C15)
+            mixed = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+            mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+            mixed ^= mixed >> np.uint64(31)
+            if step < 3:
+                state = mixed
+            else:
+                out[:, step - 3] = (mixed >> np.uint64(11)) * 2.0**-53
+    return out
 
 
 def _in_space(X: np.ndarray) -> np.ndarray:

@@ -24,28 +24,31 @@ REACHED = 0.05
 
 @dataclass(frozen=True)
 class WeighedFeatures:
-    """features: rows in their own order; weights: (N,) of the rows, 1 in sum; hinges: their columns."""
+    """features: rows in their own order; weights: (N,) of the rows, 1 in sum; total: what that sum was;
+    hinges: their columns."""
 
     features: SparseFeatures
     weights: torch.Tensor
+    total: float
     hinges: HashedHinges
 
     @classmethod
     def of(
         cls, X: np.ndarray, weights: np.ndarray, noise: np.ndarray, hinges: HashedHinges
     ) -> WeighedFeatures:
-        """Of data X (n, 3) with weights (n,), then noise (m, 3), each as heavy as the mean of the data."""
+        """Of data X (n, 3) with weights (n,), then noise (m, 3), each of weight 1."""
         every = np.concatenate([X, noise])
         order = order_of(every, hinges)
         ends, columns, values, strongest = features_at(every[order], hinges)
         rows = SparseRows(*(torch.from_numpy(part) for part in (ends[:-1], columns, values)))
-        weight = np.append(weights, np.full(len(noise), weights.mean()))[order]
+        weight = np.append(weights, np.ones(len(noise)))[order]
         # Noise out of reach is "uncertain" in any case, and would drive the outermost weights up.
         weight[strongest <= REACHED] = 0
         found = SparseFeatures(
             torch.from_numpy(order), torch.from_numpy(strongest), rows, int(hinges.first[-1])
         )
-        return cls(found, torch.from_numpy((weight / weight.sum()).astype(np.float32)), hinges)
+        total = float(weight.sum())
+        return cls(found, torch.from_numpy((weight / total).astype(np.float32)), total, hinges)
 
     @property
     def count(self) -> int:
@@ -55,14 +58,17 @@ class WeighedFeatures:
     def fit(
         self, target: np.ndarray, offset: np.ndarray, l2: float, config: FitConfig
     ) -> tuple[np.ndarray, FitReport]:
-        """Weights (H, C) that explain targets (N, C), shares of the classes, in the caller's order."""
+        """Weights (H, C) that explain targets (N, C), shares of the classes, in the caller's order.
+
+        l2: penalty beside the sum over the samples as they were weighed, so that parts and wholes agree.
+        """
         W, report = fit_softmax(
             self.features,
             torch.from_numpy(target)[self.features.order],
             self.weights,
             torch.from_numpy(offset),
             lambda diagonal: _factor(diagonal, self.hinges),
-            l2,
+            l2 / self.total,
             config,
         )
         return W.numpy(), report

@@ -14,7 +14,7 @@ from mapping.errors import ConfigError, DataError
 from mapping.hashed_hinges import features_at, filled_nodes, hinges_at, logits_at
 from mapping.kernels import blocks, dense_features
 from mapping.label_noise import disagreement, true_labels, wrong_label_share
-from mapping.multiscale import MultiscaleConfig, MultiscaleMap, noise_around
+from mapping.multiscale import MultiscaleConfig, MultiscaleMap, cells_around, noise_around
 
 RNG = np.random.default_rng(0)
 
@@ -115,7 +115,12 @@ def test_same_seed_same_map_and_files(tmp_path, fitted):
 def test_noise_lies_around_the_points():
     X, _ = street(200)
     cell = np.array([2.0, 2.0, 0.67])
-    noise = noise_around(X, cell, 500, np.random.default_rng(0))
+    noise = noise_around(X, cell, 1.7, 3)
+    assert len(noise) == pytest.approx(1.7 * len(cells_around(X, cell)), rel=0.1)
+    again = noise_around(X[X[:, 0] < 6], cell, 1.7, 3)  # a part has the same ones
+    assert len(again) > 20
+    assert np.isin(again, noise).all()
+    assert np.abs(np.corrcoef(np.mod(noise / cell + 0.5, 1).T) - np.eye(3)).max() < 0.15
     gap = (np.abs(noise[:, None] - X) / cell).max(2).min(1)
     assert gap.max() <= 2 + 1e-5
     assert gap.max() > 1

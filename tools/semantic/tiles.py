@@ -93,7 +93,7 @@ def fit_tile(job: Job, tile: tuple[int, int]) -> None:
         write_atomically(path, b"")
         return
     y = np.load(job.folder / "labels.npy", mmap_mode="r")[rows].astype(np.int64)
-    rng = np.random.default_rng([job.seed, *tile])
+    rng = np.random.default_rng(job.seed)  # the same for every tile: so are the noise samples
     model = MultiscaleMap(job.config).fit(points[rows], y, len(job.whole.counts), rng, job.whole)
     model.save(path)
 
