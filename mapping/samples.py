@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from mapping.compiled import compiled
+
 LARGEST_TABLE = 8
 """Samples are sorted by their cells when there are more cells than this a sample, else put in a table."""
 
@@ -82,12 +84,12 @@ def jittered_lattice(
     """One uniform sample (M, d) float32 in each cell of `spacing` that fills the box: even, without a grid's
     regularity."""
     count = np.maximum(np.ceil((high - low) / spacing).astype(int), 1)
-    points = rng.random((*count, len(count)))
+    points = rng.random((*count, len(count)), np.float32)
     for axis, steps in enumerate(np.ogrid[tuple(slice(n) for n in count)]):
         points[..., axis] += steps
-    points *= spacing
-    points += low
-    return points.reshape(-1, len(count)).astype(np.float32)
+    points *= np.float32(spacing)
+    points += low.astype(np.float32)
+    return points.reshape(-1, len(count))
 
 
 def jittered(points: np.ndarray, spacing: float, rng: np.random.Generator) -> np.ndarray:
@@ -95,10 +97,16 @@ def jittered(points: np.ndarray, spacing: float, rng: np.random.Generator) -> np
     return (points + spacing * (rng.random(points.shape) - 0.5)).astype(np.float32)
 
 
+@compiled
 def within(points: np.ndarray, centres: np.ndarray, radius: float) -> np.ndarray:
     """Mask (N,): points (N, d) within `radius` of any centre (M, d)."""
-    near = np.zeros(len(points), bool)
-    axes = np.ascontiguousarray(points.T)  # axis by axis: NumPy is slow at sums over a few numbers a row
-    for centre in centres.astype(points.dtype):
-        near |= sum((axis - middle) ** 2 for axis, middle in zip(axes, centre)) <= radius**2
+    near = np.zeros(len(points), np.bool_)
+    for i in range(len(points)):
+        for centre in range(len(centres)):
+            square = np.float32(0)
+            for axis in range(points.shape[1]):
+                square += np.float32(points[i, axis] - centres[centre, axis]) ** 2
+            if square <= radius**2:
+                near[i] = True
+                break
     return near

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from perception.blocks import blocks
+from mapping.compiled import compiled
 from perception.camera import Camera
 
 NOTHING, OTHER, SUPPORT = -1, -2, -3
@@ -151,24 +151,26 @@ def near_boxes(
 
     distance: one for all boxes, or one a box.
     """
-    reaches = [distance] * len(boxes) if isinstance(distance, float) else distance
-    near = np.zeros(len(points), bool)
-    for block in blocks(len(points)):
-        axes = np.ascontiguousarray(points[block].T)
-        first, last = axes.min(1), axes.max(1)
-        for (low, high), reach in zip(boxes, reaches):
-            # Points come in the order of space: most boxes are far from a whole block.
-            if max((low - last).max(), (first - high).max()) < reach:
-                near[block] |= _near_box(axes, low, high, reach)
+    if not len(boxes):
+        return np.zeros(len(points), bool)
+    lows, highs = (np.array(corners, np.float32) for corners in zip(*boxes))
+    reaches = np.broadcast_to(np.asarray(distance, np.float32), len(boxes))
+    x, y, z = np.ascontiguousarray(np.asarray(points, np.float32).T)
+    return np.asarray(_near_any(x, y, z, lows, highs, reaches.copy()))
+
+
+@compiled
+def _near_any(
+    x: np.ndarray, y: np.ndarray, z: np.ndarray, lows: np.ndarray, highs: np.ndarray, reaches: np.ndarray
+) -> np.ndarray:
+    """Which points lie within its reach (K,) of a box lows..highs (K, 3): (N,) bool."""
+    near = np.zeros(len(x), np.bool_)
+    for k in range(len(reaches)):
+        low, high, reach = lows[k], highs[k], reaches[k] ** 2
+        for i in range(len(x)):
+            # max(low - x, 0, x - high): one of the two is below 0.
+            a = max(low[0] - x[i], x[i] - high[0], np.float32(0))
+            b = max(low[1] - y[i], y[i] - high[1], np.float32(0))
+            c = max(low[2] - z[i], z[i] - high[2], np.float32(0))
+            near[i] |= a * a + b * b + c * c < reach
     return near
-
-
-def _near_box(axes: np.ndarray, low: np.ndarray, high: np.ndarray, distance: float) -> np.ndarray:
-    """Which points, given as axes (3, N), lie within `distance` of the box low..high (3,): (N,) bool."""
-    square = np.zeros(axes.shape[1], axes.dtype)
-    for axis, a, b in zip(axes, low, high):
-        gap = np.clip(axis, a, b)
-        gap -= axis
-        gap *= gap
-        square += gap
-    return square < distance**2

@@ -7,9 +7,8 @@ some of it is theirs, and none of it is free.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from mapping.samples import shift_along_rays, voxel_subsample
+from mapping.samples import shift_along_rays, voxel_subsample, within
 from perception.observation import Observation, near_boxes
 from perception.space import Space
 
@@ -73,8 +72,7 @@ def with_obstacles(
     lean = np.zeros(len(points), np.float32)
     box = near_boxes(points, [(obstacles.min(0), obstacles.max(0))], [REACH])  # most are far: no search
     beside = np.flatnonzero(box & ~behind)
-    distance = cKDTree(obstacles).query(points[beside], distance_upper_bound=REACH)[0]
-    lean[beside[np.isfinite(distance)]] = BESIDE
+    lean[beside[within(points[beside], obstacles, REACH)]] = BESIDE
     lean[behind] = BEYOND
     lean[behind & (sight.behind < shell)] = IN_SHELL
     other = guess[:, 0] * lean
