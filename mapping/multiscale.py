@@ -129,8 +129,8 @@ class MultiscaleMap:
     ) -> MultiscaleMap:
         """Learn from points X (N, 3) [m] with labels y (N,) in 0..classes-1; rng draws the noise samples.
 
-        whole: of the data that these points are a part of: parts fitted alone, with rng of the same seed, have
-        the same noise samples and agree at their seams.
+        whole: of the data that these points are a part of: parts fitted alone, with rng of the same seed,
+        have the same noise samples and agree at their seams.
         """
         config = self.config
         X, y = _in_space(X), np.asarray(y, np.int64)
@@ -253,7 +253,7 @@ def noise_around(X: np.ndarray, cell: np.ndarray, each: float, seed: int) -> np.
 
 
 def _chances(cells: np.ndarray, seed: int) -> np.ndarray:
-    """Numbers (M, 4) in [0, 1) of cells (M, 3), even and unrelated: the splitmix64 generator, seeded by them."""
+    """Numbers (M, 4) in [0, 1) of cells (M, 3), even and unrelated: splitmix64, seeded by the cells."""
     state = np.full(len(cells), seed, np.uint64)
     out = np.empty((len(cells), 4))
     with np.errstate(over="ignore"):
