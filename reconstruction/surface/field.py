@@ -91,15 +91,15 @@ def extent(values: np.ndarray) -> Window | None:
 
     values: numbers, or bool.
     """
-    first, last = _ends(values.view(np.uint8) if values.dtype == bool else values)
-    if first[0] > last[0]:
+    ends = _ends(values.view(np.uint8) if values.dtype == bool else values)
+    if ends[0] > ends[3]:
         return None
-    x, y, z = (slice(int(a), int(b) + 1) for a, b in zip(first, last))
+    x, y, z = (slice(first, last + 1) for first, last in zip(ends[:3], ends[3:]))
     return x, y, z
 
 
 @compiled
-def _ends(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _ends(values: np.ndarray) -> tuple[int, ...]:
     nx, ny, nz = values.shape
     left, front, low, right, back, high = nx, ny, nz, -1, -1, -1
     for i in range(nx):
@@ -117,7 +117,7 @@ def _ends(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
                     if row[k] > 0:
                         high = k
                         break
-    return np.array([left, front, low]), np.array([right, back, high])
+    return left, front, low, right, back, high
 
 
 def evaluate_field(

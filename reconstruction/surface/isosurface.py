@@ -120,12 +120,13 @@ def _isosurface(
                 mixed[count] = k
                 count += 0 < row[k] < 255
             for axis, bit in ((2, 4), (1, 1), (0, 2)):
-                for k in mixed[:count]:
+                for m in range(count):
+                    k = mixed[m]
                     if (row[k] ^ row[k] >> bit) & 1:
                         here = values[i, j, k]
                         there = values[i + (axis == 0), j + (axis == 1), k + (axis == 2)]
                         share = -np.float64(here) / np.float64(there - here)
-                        vertices[vertex] = i, j, k
+                        vertices[vertex, 0], vertices[vertex, 1], vertices[vertex, 2] = i, j, k
                         vertices[vertex, axis] += share
                         numbers[i % 2, j, k, axis] = vertex
                         vertex += 1
@@ -137,9 +138,8 @@ def _isosurface(
                 kind = row[k]
                 if 0 < kind < 255:
                     for corner in range(3 * counts[kind]):
-                        di, dj, dk, axis = edges[kind, corner]
-                        faces[face + corner // 3, corner % 3] = numbers[
-                            (i - 1 + di) % 2, j + dj, k + dk, axis
-                        ]
+                        edge = edges[kind, corner]
+                        plane, line, place = (i - 1 + edge[0]) % 2, j + edge[1], k + edge[2]
+                        faces[face + corner // 3, corner % 3] = numbers[plane, line, place, edge[3]]
                     face += counts[kind]
     return vertices, faces

@@ -48,7 +48,7 @@ def _greatest_around(values: np.ndarray) -> np.ndarray:
     for i in range(nx):
         for j in range(ny):
             row, best = values[i, j], wide[i, j]
-            best[:] = row
+            best[0] = row[0]
             for k in range(1, nz):
                 best[k] = _greater(row[k], row[k - 1])
             for k in range(nz - 1):

@@ -15,7 +15,8 @@ def nodes_of_cells(cells: np.ndarray, factor: int) -> np.ndarray:
     filled = np.zeros((nx, ny), np.bool_)
     for i in range(nx):
         for j in range(ny):
-            filled[i, j] = cells[i, j].any()
+            for k in range(nz):
+                filled[i, j] |= cells[i, j, k]
     nodes = np.empty(height * width * depth, np.int64)
     held = np.empty(nz, np.bool_)
     count = 0
@@ -46,17 +47,18 @@ def spread(values: np.ndarray, factor: int) -> np.ndarray:
     nx, ny, nz = values.shape
     fine = np.empty((factor * (nx - 1) + 1, factor * (ny - 1) + 1, factor * (nz - 1) + 1), values.dtype)
     for i in range(fine.shape[0]):
-        if i % factor:
-            fine[i] = fine[i - 1]
-            continue
         for j in range(fine.shape[1]):
-            if j % factor:
-                fine[i, j] = fine[i, j - 1]
+            wide = fine[i, j]
+            if i % factor or j % factor:  # as in the row before
+                before = fine[i - (i % factor > 0), j - (i % factor == 0)]
+                for k in range(len(wide)):
+                    wide[k] = before[k]
                 continue
-            row, wide = values[i // factor, j // factor], fine[i, j]
+            row = values[i // factor, j // factor]
             for k in range(nz - 1):
-                wide[factor * k : factor * (k + 1)] = row[k]
-            wide[-1] = row[-1]
+                for step in range(factor):
+                    wide[factor * k + step] = row[k]
+            wide[len(wide) - 1] = row[nz - 1]
     return fine
 
 

@@ -49,21 +49,19 @@ def vertical_axis(points: np.ndarray, normals: np.ndarray) -> np.ndarray | None:
     return axis if np.median(np.abs(_off(radius, circle))) < limit else None
 
 
-@compiled
 def _meeting_place(across: np.ndarray, offset: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """The place (2,) that most of the lines across . p = offset, (N, 2) and (N,), come near to; weight: (N,)
     of each."""
     axis = _solved(across, offset, weight)
     for _ in range(ROUNDS):
         missed = np.abs(offset - (across[:, 0] * axis[0] + across[:, 1] * axis[1]))
-        trusted = weight / (1 + (missed / max(np.median(missed), 1e-4)) ** 2)
-        axis = _solved(across, offset, trusted)
-    return axis
+        axis = _solved(across, offset, weight / (1 + (missed / max(np.median(missed), 1e-4)) ** 2))
+    return np.array(axis)
 
 
 @compiled
-def _solved(across: np.ndarray, offset: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """The place (2,) that the lines come nearest to in the mean of squares."""
+def _solved(across: np.ndarray, offset: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
+    """The place that the lines come nearest to in the mean of squares."""
     xx = xy = yy = x = y = 0.0
     for i in range(len(offset)):
         xx += weight[i] * across[i, 0] * across[i, 0]
@@ -75,49 +73,53 @@ def _solved(across: np.ndarray, offset: np.ndarray, weight: np.ndarray) -> np.nd
 
 
 @compiled
-def _solution(xx: float, xy: float, yy: float, x: float, y: float) -> np.ndarray:
-    """The (2,) that the symmetric matrix turns into (x, y)."""
-    return np.array([yy * x - xy * y, xx * y - xy * x]) / (xx * yy - xy * xy)
+def _solution(xx: float, xy: float, yy: float, x: float, y: float) -> tuple[float, float]:
+    """What the symmetric matrix turns into (x, y)."""
+    determinant = xx * yy - xy * xy
+    return (yy * x - xy * y) / determinant, (xx * y - xy * x) / determinant
 
 
-@compiled
 def _middle_of_circles(place: np.ndarray, circle: np.ndarray, axis: np.ndarray) -> np.ndarray:
     """The middle (2,), near `axis`, of circles about it through places (N, 2); circle: (N,) whose each is."""
     for _ in range(ROUNDS):
         away = place - axis
         radius = np.hypot(away[:, 0], away[:, 1])
         weight = 1 / (1 + (_off(radius, circle) / 0.002) ** 2)
-        total = np.full(circle.max() + 1, 1e-9)
-        means = np.zeros((len(total), 3))
-        values = np.empty((len(place), 3))
-        for i in range(len(place)):
-            values[i] = away[i, 0] / max(radius[i], 1e-6), away[i, 1] / max(radius[i], 1e-6), radius[i]
-            total[circle[i]] += weight[i]
-            means[circle[i]] += weight[i] * values[i]
-        xx = xy = yy = x = y = 0.0
-        for i in range(len(place)):
-            u, v, r = values[i] - means[circle[i]] / total[circle[i]]
-            xx += weight[i] * u * u
-            xy += weight[i] * u * v
-            yy += weight[i] * v * v
-            x += weight[i] * u * r
-            y += weight[i] * v * r
-        # Short arcs do not say how far away their middle is: there the normals' word stands.
-        least = 0.02 * weight.sum()
-        axis = axis + _solution(xx + least, xy, yy + least, x, y)
+        axis = axis + _step(away, radius, weight, circle, np.zeros((4, circle.max() + 1)))
     return axis
 
 
 @compiled
+def _step(
+    away: np.ndarray, radius: np.ndarray, weight: np.ndarray, circle: np.ndarray, sums: np.ndarray
+) -> tuple[float, float]:
+    """How far the middle of circles is from where it was looked for; sums: (4, circles) zeros."""
+    for i in range(len(radius)):
+        least = max(radius[i], 1e-6)
+        sums[0, circle[i]] += weight[i] * (away[i, 0] / least)
+        sums[1, circle[i]] += weight[i] * (away[i, 1] / least)
+        sums[2, circle[i]] += weight[i] * radius[i]
+        sums[3, circle[i]] += weight[i]
+    xx = xy = yy = x = y = total = 0.0
+    for i in range(len(radius)):
+        least, count = max(radius[i], 1e-6), max(sums[3, circle[i]], 1e-9)
+        u = away[i, 0] / least - sums[0, circle[i]] / count
+        v = away[i, 1] / least - sums[1, circle[i]] / count
+        r = radius[i] - sums[2, circle[i]] / count
+        xx += weight[i] * u * u
+        xy += weight[i] * u * v
+        yy += weight[i] * v * v
+        x += weight[i] * u * r
+        y += weight[i] * v * r
+        total += weight[i]
+    # Short arcs do not say how far away their middle is: there the normals' word stands.
+    return _solution(xx + 0.02 * total, xy, yy + 0.02 * total, x, y)
+
+
 def _off(radius: np.ndarray, circle: np.ndarray) -> np.ndarray:
     """Radii (N,) less the middle one of their circle (N,), numbered from 0 on."""
-    ends = np.cumsum(np.bincount(circle))
-    places, sorted_radii = ends.copy(), np.empty_like(radius)
-    for i in range(len(radius)):
-        places[circle[i]] -= 1
-        sorted_radii[places[circle[i]]] = radius[i]
-    middle = np.zeros(len(ends))
-    for k in range(len(ends)):
-        if places[k] < ends[k]:
-            middle[k] = np.sort(sorted_radii[places[k] : ends[k]])[(ends[k] - places[k]) // 2]
+    count = np.bincount(circle)
+    order = np.lexsort((radius, circle))
+    # Where there is no circle of a number, that of another stands for it: nobody asks.
+    middle = radius[order][np.maximum(np.cumsum(count) - (count + 1) // 2, 0).clip(max=len(radius) - 1)]
     return radius - middle[circle]

@@ -17,28 +17,30 @@ LEAST_GAP = np.float32(1e-3)
 """Vertices keep this distance from nodes, in spacings: 5 micrometres on a lattice of 5 mm."""
 
 
-@compiled
 def off_the_surface(values: np.ndarray) -> np.ndarray:
     """Values on a lattice, none of them within LEAST_VALUE of the surface's, 0."""
-    moved = np.empty_like(values)
-    before, after = values.reshape(-1), moved.reshape(-1)
-    for node in range(len(before)):
-        after[node] = before[node] if abs(before[node]) >= LEAST_VALUE else -LEAST_VALUE
-    return moved
+    return np.where(np.abs(values) < LEAST_VALUE, -LEAST_VALUE, values)
 
 
-@compiled
 def apart(vertices: np.ndarray) -> np.ndarray:
     """Vertices (V, 3) in lattice coordinates, moved along their edges so that none is nearer to a node than
     LEAST_GAP."""
     moved = vertices.astype(np.float64)
-    nodes = np.rint(vertices)
-    offsets = vertices - nodes
-    for v in range(len(vertices)):
-        x, y, z = offsets[v]
-        # On an edge one coordinate lies between nodes; vertices inside of cells have three that do.
-        if abs(x) < LEAST_GAP and abs(y) < LEAST_GAP and abs(z) < LEAST_GAP:
-            for axis in range(3):
-                if offsets[v, axis] != 0:
-                    moved[v, axis] = nodes[v, axis] + np.copysign(LEAST_GAP, offsets[v, axis])
+    _move_apart(vertices, moved)
     return moved
+
+
+@compiled
+def _move_apart(vertices: np.ndarray, moved: np.ndarray) -> None:
+    for v in range(len(vertices)):
+        near = (
+            True  # on an edge one coordinate lies between nodes; vertices inside of cells have three that do
+        )
+        for axis in range(3):
+            near &= abs(vertices[v, axis] - np.rint(vertices[v, axis])) < LEAST_GAP
+        if near:
+            for axis in range(3):
+                node = np.rint(vertices[v, axis])
+                offset = vertices[v, axis] - node
+                if offset != 0:
+                    moved[v, axis] = node + (LEAST_GAP if offset > 0 else -LEAST_GAP)
