@@ -185,42 +185,68 @@ def _neighbours(hinges: HashedHinges) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 @compiled
-def _look_around(
-    node: np.ndarray, t: int, hinges: HashedHinges, found: np.ndarray, step_of: np.ndarray
-) -> int:
-    """The same as `_search`, but from memory where a hinge point lies at the node itself."""
-    own = _find(node[0], node[1], node[2], t, hinges)
-    if own < 0:
-        return _search(node, t, hinges, found, step_of)
-    start, count = hinges.near_first[own], hinges.near_first[own + 1] - hinges.near_first[own]
-    for k in range(count):
-        found[k], step_of[k] = hinges.near[start + k], hinges.near_step[start + k]
-    return count
-
-
-@compiled
 def _along_axes(
     point: np.ndarray, node: np.ndarray, spacing: np.ndarray, width: float, out: np.ndarray
 ) -> None:
     """exp(-width (d - r)^2) along each axis, out (3, 2 rim + 1), at r = -rim..rim spacings from the node."""
-    rim = out.shape[1] // 2
+    rim, once = out.shape[1] // 2, np.exp(-2 * width)
     for axis in range(3):
         d = np.float32(point[axis] / spacing[axis] - node[axis])
-        middle, ratio = np.exp(-width * d * d), np.exp(2 * width * d)
-        up, down, out[axis, rim] = middle, middle, middle
+        # Each is its neighbour times a ratio that falls by the same factor a step.
+        up = np.exp(width * (2 * d - 1))
+        down = once / up
+        out[axis, rim] = np.exp(-width * d * d)
         for r in range(1, rim + 1):
-            fall = np.exp(-width * (2 * r - 1))
-            up *= ratio * fall
-            down *= fall / ratio
-            out[axis, rim + r], out[axis, rim - r] = up, down
+            out[axis, rim + r] = out[axis, rim + r - 1] * up
+            out[axis, rim - r] = out[axis, rim - r + 1] * down
+            up *= once
+            down *= once
+
+
+@compiled
+def _pairs(
+    point: np.ndarray,
+    t: int,
+    hinges: HashedHinges,
+    node: np.ndarray,
+    along: np.ndarray,
+    index: np.ndarray,
+    value: np.ndarray,
+) -> int:
+    """How many hinge points of shape t are in reach of a point (3,): indices and features fill the arrays.
+
+    node (3,) and along (3, 2 rim + 1) are room to work in.
+    """
+    rim, count = along.shape[1] // 2, 0
+    for axis in range(3):
+        node[axis] = np.int64(np.rint(point[axis] / hinges.spacings[t, axis]))
+    own = _find(node[0], node[1], node[2], t, hinges)
+    _along_axes(point, node, hinges.spacings[t], hinges.width, along)
+    if own < 0:
+        # Away from data most steps are too long, or lead nowhere.
+        for m in range(len(hinges.steps)):
+            x, y, z = hinges.steps[m, 0], hinges.steps[m, 1], hinges.steps[m, 2]
+            feature = along[0, x + rim] * along[1, y + rim] * along[2, z + rim]
+            if feature > hinges.cutoff:
+                i = _find(node[0] + x, node[1] + y, node[2] + z, t, hinges)
+                if i >= 0:
+                    index[count], value[count] = i, feature
+                    count += 1
+        return count
+    for k in range(hinges.near_first[own], hinges.near_first[own + 1]):
+        steps = hinges.steps[hinges.near_step[k]]
+        feature = along[0, steps[0] + rim] * along[1, steps[1] + rim] * along[2, steps[2] + rim]
+        # Written in any case, and written over unless it counts: a branch costs more.
+        index[count], value[count] = hinges.near[k], feature
+        count += feature > hinges.cutoff
+    return count
 
 
 @compiled
 def _features(X: np.ndarray, hinges: HashedHinges) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Lengths (n,), columns, values and strongest (n,) of the rows of points (n, 3)."""
     shapes, most, rim = len(hinges.spacings), len(hinges.steps), np.max(hinges.steps)
-    found, step_of = np.empty((shapes, most), np.int32), np.empty((shapes, most), np.uint8)
-    counts, last = np.zeros(shapes, np.int64), np.full((shapes, 3), 2**40)
+    index, value = np.empty(most + 1, np.int32), np.empty(most + 1, np.float32)
     node, along = np.empty(3, np.int64), np.empty((3, 2 * rim + 1), np.float32)
     lengths, strongest = np.zeros(len(X), np.int64), np.zeros(len(X), np.float32)
     columns = np.empty(shapes * (most + 16 * len(X)), np.int32)
@@ -233,25 +259,10 @@ def _features(X: np.ndarray, hinges: HashedHinges) -> tuple[np.ndarray, np.ndarr
             values = np.concatenate((values, np.empty(more, np.float32)))
         before = total
         for t in range(shapes):
-            same = True
-            for axis in range(3):
-                node[axis] = np.int64(np.rint(X[i, axis] / hinges.spacings[t, axis]))
-                same &= node[axis] == last[t, axis]
-            if not same:
-                last[t] = node
-                counts[t] = _look_around(node, t, hinges, found[t], step_of[t])
-            _along_axes(X[i], node, hinges.spacings[t], hinges.width, along)
-            for k in range(counts[t]):
-                m = step_of[t, k]
-                value = (
-                    along[0, hinges.steps[m, 0] + rim]
-                    * along[1, hinges.steps[m, 1] + rim]
-                    * along[2, hinges.steps[m, 2] + rim]
-                )
-                # Written in any case, and written over unless it counts: a branch costs more.
-                columns[total], values[total] = found[t, k], value * hinges.amplitude[t]
-                total += value > hinges.cutoff
-                strongest[i] = max(strongest[i], value)
+            for k in range(_pairs(X[i], t, hinges, node, along, index, value)):
+                columns[total], values[total] = index[k], value[k] * hinges.amplitude[t]
+                strongest[i] = max(strongest[i], value[k])
+                total += 1
         lengths[i] = total - before
     return lengths, columns[:total].copy(), values[:total].copy(), strongest
 
@@ -260,32 +271,14 @@ def _features(X: np.ndarray, hinges: HashedHinges) -> tuple[np.ndarray, np.ndarr
 def _logits(X: np.ndarray, hinges: HashedHinges, W: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """Logits (n, C) at points (n, 3)."""
     shapes, most, rim = len(hinges.spacings), len(hinges.steps), np.max(hinges.steps)
-    found, step_of = np.empty((shapes, most), np.int32), np.empty((shapes, most), np.uint8)
-    counts, last = np.zeros(shapes, np.int64), np.full((shapes, 3), 2**40)
+    index, value = np.empty(most + 1, np.int32), np.empty(most + 1, np.float32)
     node, along = np.empty(3, np.int64), np.empty((3, 2 * rim + 1), np.float32)
     out = np.empty((len(X), len(offset)), np.float32)
     for i in range(len(X)):
         out[i] = offset
         for t in range(shapes):
-            same = True
-            for axis in range(3):
-                node[axis] = np.int64(np.rint(X[i, axis] / hinges.spacings[t, axis]))
-                same &= node[axis] == last[t, axis]
-            if not same:
-                last[t] = node
-                counts[t] = _look_around(node, t, hinges, found[t], step_of[t])
-            if counts[t] == 0:
-                continue
-            _along_axes(X[i], node, hinges.spacings[t], hinges.width, along)
-            for k in range(counts[t]):
-                m = step_of[t, k]
-                value = (
-                    along[0, hinges.steps[m, 0] + rim]
-                    * along[1, hinges.steps[m, 1] + rim]
-                    * along[2, hinges.steps[m, 2] + rim]
-                )
-                if value > hinges.cutoff:
-                    value *= hinges.amplitude[t]
-                    for c in range(out.shape[1]):
-                        out[i, c] += value * W[found[t, k], c]
+            for k in range(_pairs(X[i], t, hinges, node, along, index, value)):
+                feature, hinge = value[k] * hinges.amplitude[t], index[k]
+                for c in range(out.shape[1]):
+                    out[i, c] += feature * W[hinge, c]
     return out
