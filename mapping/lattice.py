@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import prod
 
 import numpy as np
 import torch
@@ -31,6 +30,8 @@ Axes = Sequence[np.ndarray]
 Window = tuple[slice, ...]
 Block = Callable[[Window, torch.Tensor | None], torch.Tensor | None]
 """What one group of hinge points adds to the logits (C, *window) of some classes; None: nothing."""
+Factors = Callable[[Window, torch.Tensor | None], tuple[torch.Tensor, torch.Tensor] | None]
+"""The same as a product yet to be taken: (n_1, m) times (C, m, n_2 n_3 ..)."""
 
 
 class LatticeEvaluator:
@@ -90,7 +91,11 @@ class LatticeEvaluator:
         axes = _checked(axes, self.dimensions)
         if not all(rises(axis) for axis in axes):
             raise DataError("the coordinates of a lattice's axes must rise")
-        return MapOnLattice(self.offset, [group.on(axes) for group in self.groups])
+        return MapOnLattice(
+            self.offset,
+            [group.on(axes) for group in self.groups if isinstance(group, _HingeLattice)],
+            [group.on(axes) for group in self.groups if isinstance(group, _ScatteredHinges)],
+        )
 
 
 @dataclass(frozen=True)
@@ -98,13 +103,22 @@ class MapOnLattice:
     """A map and one lattice: what blocks of it share is worked out once."""
 
     offset: torch.Tensor
-    groups: list[Block]
+    lattices: list[Factors]
+    scattered: list[Block]
 
     def block(self, window: Window, classes: torch.Tensor | None = None) -> torch.Tensor:
         """Logits (C, *window) on a part of the lattice, of all classes or some of them."""
         offset = self.offset if classes is None else self.offset[classes]
-        out = offset.view(-1, *[1] * len(window)).repeat(1, *(w.stop - w.start for w in window))
-        for group in self.groups:
+        shape = len(offset), *(part.stop - part.start for part in window)
+        factors = [found for lattice in self.lattices if (found := lattice(window, classes)) is not None]
+        if factors:
+            # One product for all groups: the logits are written once.
+            tables, lefts = zip(*factors)
+            table = torch.cat(tables, 1).expand(len(offset), -1, -1)
+            out = torch.baddbmm(offset.view(-1, 1, 1), table, torch.cat(lefts, 1)).view(shape)
+        else:
+            out = offset.view(-1, *[1] * len(window)).repeat(1, *shape[1:])
+        for group in self.scattered:
             part = group(window, classes)
             if part is not None:
                 out += part
@@ -115,17 +129,18 @@ class MapOnLattice:
 class _HingeLattice:
     """Hinge points of one width on a lattice of their own: contracted axis by axis, 50 times less arithmetic.
 
-    places: coordinates along each axis, sorted; weights: (C, m_1, .., m_d), zero where no hinge point is.
+    places: coordinates along each axis, sorted; weights: (C, m_1, .., m_d), zero where no hinge point is;
+    held: (m_1, .., m_d) bool, where one is.
     """
 
     places: list[np.ndarray]
     gamma: float
     weights: torch.Tensor
+    held: np.ndarray
 
-    def on(self, axes: Axes) -> Block:
+    def on(self, axes: Axes) -> Factors:
         """This group's part of any block of a lattice."""
         radius = float(reach(self.gamma, CUTOFF))
-        held = (self.weights != 0).any(0).cpu().numpy()
         known: dict[tuple[int, int, int], tuple[int, torch.Tensor]] = {}
 
         def along(i: int, part: slice) -> tuple[int, torch.Tensor]:
@@ -138,10 +153,10 @@ class _HingeLattice:
                 known[key] = int(first), table
             return known[key]
 
-        def block(window: Window, classes: torch.Tensor | None) -> torch.Tensor | None:
+        def block(window: Window, classes: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor] | None:
             near = [along(i, part) for i, part in enumerate(window)]
             # Most of the lattice holds no hinge point: only the box around those in reach is contracted.
-            box = _box_of(held[tuple(slice(first, first + table.shape[1]) for first, table in near)])
+            box = _box_of(self.held[tuple(slice(first, first + table.shape[1]) for first, table in near)])
             if box is None:
                 return None
             tensor, tables = self.weights, []
@@ -150,13 +165,14 @@ class _HingeLattice:
                 tables.append(table[:, part])
             if classes is not None:
                 tensor = tensor.index_select(0, classes)
-            count, shape = len(tensor), [len(table) for table in tables]
-            tensor = tensor @ tables[-1].T
-            for i in reversed(range(len(tables) - 1)):
-                # What is left of the axes before i x axis i x nodes of the axes after i: nothing is copied.
-                left = tensor.reshape(-1, tables[i].shape[1], prod(shape[i + 1 :]))
-                tensor = torch.bmm(tables[i].expand(len(left), -1, -1), left)
-            return tensor.view(count, *shape)
+            count, after = len(tensor), 1
+            if len(tables) > 1:
+                tensor, after = tensor @ tables[-1].T, len(tables[-1])
+            for table in reversed(tables[1:-1]):
+                # What is left of the axes before x this axis x nodes of the axes after it: nothing is copied.
+                left = tensor.reshape(-1, table.shape[1], after)
+                tensor, after = torch.bmm(table.expand(len(left), -1, -1), left), after * len(table)
+            return tables[0], tensor.reshape(count, tables[0].shape[1], after)
 
         return block
 
@@ -232,7 +248,9 @@ def _group(hinges: np.ndarray, gamma: float, weights: torch.Tensor) -> _HingeLat
     tensor = weights.new_zeros(weights.shape[1], int(np.prod(size)))
     # Hinge points given twice add up.
     tensor.index_add_(1, torch.from_numpy(cell).to(weights.device), weights.T.contiguous())
-    return _HingeLattice(places, gamma, tensor.reshape(-1, *size))
+    held = np.zeros(size, bool)
+    held.reshape(-1)[cell] = True
+    return _HingeLattice(places, gamma, tensor.reshape(-1, *size), held)
 
 
 def kernel_table(nodes: np.ndarray, places: np.ndarray, gamma: float) -> torch.Tensor:
