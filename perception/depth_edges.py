@@ -7,6 +7,7 @@ import numpy as np
 from mapping.compiled import compiled
 from perception.camera import Camera
 from perception.config import PerceptionConfig
+from perception.filling import filled
 
 
 def depth_jump(depth: np.ndarray, camera: Camera, config: PerceptionConfig) -> np.ndarray:
@@ -19,15 +20,6 @@ def _jump_factors(camera: Camera, config: PerceptionConfig) -> tuple[np.float32,
     """What depth and its square are multiplied by in a jump: pixels apart at a grazing angle, and noise."""
     per_pixel = np.tan(np.radians(config.grazing_angle)) / min(camera.K[0, 0], camera.K[1, 1])
     return np.float32(per_pixel), np.float32(2 * config.depth_noise)
-
-
-def filled(depth: np.ndarray, value: float) -> np.ndarray:
-    """A copy of depth (H, W) float32 [m] with a value where nothing was measured."""
-    import cv2
-
-    copy = np.array(depth, np.float32, order="C")
-    cv2.patchNaNs(copy, value)
-    return copy
 
 
 def remove_flying_pixels(depth: np.ndarray, camera: Camera, config: PerceptionConfig) -> np.ndarray:

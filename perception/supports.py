@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mapping.compiled import compiled
 from perception.camera import Camera
 from perception.config import PerceptionConfig
 from perception.observation import SupportPlane
@@ -91,23 +92,15 @@ def _level_cells(
     points: np.ndarray, labels: np.ndarray, support: SupportPlane, camera: Camera, config: PerceptionConfig
 ) -> tuple[np.ndarray, np.ndarray]:
     """Centres (M, 3) [m] and heights (M,) [m] of the image's cells that see a level surface, unlabelled."""
-    import cv2
-
     depth = points[..., 2]
     middle = float(np.nanmedian(depth[::4, ::4]))
     side = max(2, round(CELL * float(camera.K[0, 0]) / middle)) if np.isfinite(middle) else 2
     rows, columns = depth.shape[0] // side, depth.shape[1] // side
     if rows < 2 or columns < 2:
         return np.empty((0, 3)), np.empty(0)
-    part = slice(0, rows * side), slice(0, columns * side)
-    usable = np.isfinite(depth[part]) & (labels[part] == 0)
-    known = cv2.copyTo(points[part], usable.astype(np.uint8))  # 0 elsewhere
-    total, share = (
-        cv2.resize(image, (columns, rows), interpolation=cv2.INTER_AREA).astype(np.float64)
-        for image in (known, usable.astype(np.float32))
-    )
-    centre = total / np.maximum(share, 1e-6)[..., None]
-    centre[share < FILLED] = np.nan
+    total, count = _cell_sums(points, labels, side, rows, columns)
+    centre = total / np.maximum(count, 1)[..., None]
+    centre[count * np.float32(1 / side**2) < FILLED] = np.nan
     height = centre @ support.normal + support.offset
     level = np.ones((rows, columns), bool)
     for axis in (0, 1):
@@ -120,6 +113,27 @@ def _level_cells(
         # Level towards one neighbour at least, along both directions of the image.
         level &= beside[1:] | beside[:-1] if axis == 0 else beside[:, 1:] | beside[:, :-1]
     return centre[level], height[level]
+
+
+@compiled
+def _cell_sums(
+    points: np.ndarray, labels: np.ndarray, side: int, rows: int, columns: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sum (rows, columns, 3) and count (rows, columns) of the measured, unlabelled points in square cells."""
+    total, count = np.zeros((rows, columns, 3)), np.zeros((rows, columns), np.float32)
+    for row in range(rows * side):
+        for column in range(columns):
+            x, y, z, number = 0.0, 0.0, 0.0, 0
+            for pixel in range(column * side, (column + 1) * side):
+                if labels[row, pixel] == 0 and not np.isnan(points[row, pixel, 2]):
+                    x += points[row, pixel, 0]
+                    y += points[row, pixel, 1]
+                    z += points[row, pixel, 2]
+                    number += 1
+            cell = total[row // side, column]
+            cell[0], cell[1], cell[2] = cell[0] + x, cell[1] + y, cell[2] + z
+            count[row // side, column] += number
+    return total, count
 
 
 def _levels(cells: np.ndarray, height: np.ndarray, config: PerceptionConfig) -> list[float]:

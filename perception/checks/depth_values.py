@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from perception.depth_edges import filled
+from perception.filling import filled
 from perception.window import window_around
 
 SENTINEL_PIXELS = 20
