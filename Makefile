@@ -33,12 +33,14 @@ $(DEMO): pyproject.toml constraints.txt
 	@$(MAKE) --no-print-directory environment
 	@echo "Installing ContraMap with its simulator and viewer into $(VENV): about 7 GB on Linux, most of it torch's CUDA libraries, 4 GB where torch comes without them. pip lists each download; it takes minutes."
 	$(PIP) -e '.[sim,viz]'
+	@$(BIN)/python -m tools.compile_loops
 	@touch $@
 
 $(STAMP): pyproject.toml constraints.txt
 	@$(MAKE) --no-print-directory environment
 	@echo "Installing ContraMap with all that its tests need into $(VENV): about 8 GB on Linux, most of it torch's CUDA libraries, 5 GB where torch comes without them. pip lists each download; it takes minutes."
 	$(PIP) -e '.[dev]'
+	@$(BIN)/python -m tools.compile_loops
 	@touch $(DEMO) $@
 
 environment:
