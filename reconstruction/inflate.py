@@ -21,6 +21,11 @@ BEYOND = -20.0
 """Log odds outside of all that was evaluated."""
 
 
+HELD = 0.5
+"""The surface keeps about this distance from the object's mesh, in cells: edges that pass between nodes are
+held, too."""
+
+
 @dataclass(frozen=True)
 class InflateConfig:
     """How far and how finely possible space is looked for."""
@@ -72,7 +77,7 @@ def _inflated(
     solid = Solid(mesh)
     depth = np.where(solid.inside(nodes), 1.0, -1.0) * solid.distance(nodes) / config.spacing
     # The mesh itself belongs to it: what was measured counts more than what the map says there.
-    values = np.maximum(odds - level, depth).astype(np.float32)
+    values = np.maximum(odds - level, depth + HELD).astype(np.float32)
     values = _one_piece(values, solid.inside(nodes))
     values = np.where(np.abs(values) < 1e-4, np.float32(-1e-4), values)
     padded = np.pad(values, 1, constant_values=BEYOND)

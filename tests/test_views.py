@@ -19,6 +19,7 @@ from perception.views.choosing import without_the_least_new
 from perception.views.joint_space import JointSpace
 from perception.views.observing_together import observe_together
 from reconstruction import load_result, reconstruct
+from reconstruction.config import FusionConfig, MeshConfig
 from reconstruction.files import result_folder
 from reconstruction.files.scene_json import describe
 from reconstruction.result import Reconstruction
@@ -90,10 +91,12 @@ def test_views_of_nothing_are_refused() -> None:
 
 
 def test_further_views_help() -> None:
-    """With views from all around, what was hidden is known: nearer to the truth, and less uncertain."""
+    """With views from all around, what was hidden is known: nearer to the truth, and less uncertain. Below a
+    fifth of a cell nothing can be nearer: a body that is taken for round is that exact from one view."""
     one, four = mapped(0), mapped(0, 1, 2, 3)
+    cell = MeshConfig().spacing / FusionConfig().refine
     for label in (1, 2, 3, 4):
-        assert hidden_error(four, label) < hidden_error(one, label)
+        assert hidden_error(four, label) < max(hidden_error(one, label), cell / 5)
         assert four[label].mean_uncertainty < one[label].mean_uncertainty
     assert sum(hidden_error(four, k) for k in (1, 2, 3, 4)) < 0.7 * sum(
         hidden_error(one, k) for k in (1, 2, 3, 4)
