@@ -30,8 +30,8 @@ SINGLE = (
 SLOW = [f"6dof_graspnet_demo/{name}" for name in SINGLE]
 
 LEAKS = {"011_banana": 40}
-"""Wrong by up to so much [mm]: 19 pixels of its mask lie on the pitcher beside it, 3 cm higher, and whether they
-become a part of the banana depends on the seed."""
+"""Wrong by up to so much [mm]: 19 pixels of its mask lie on the pitcher beside it, 3 cm higher, and the seed
+decides whether they become a part of the banana."""
 
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"no real frames at {DATA}")
 
