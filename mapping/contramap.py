@@ -62,7 +62,6 @@ class ContraMap:
         gamma: np.ndarray | float | None = None,
         weights: np.ndarray | None = None,
         classes: int | None = None,
-        amplitude: np.ndarray | None = None,
         start: np.ndarray | None = None,
     ) -> ContraMap:
         """Fit the weights (paper, Section III-B).
@@ -70,7 +69,6 @@ class ContraMap:
         X: (N, d) points; y: (N,) int classes, the uncertain class being the largest, or (N, C+1) float
         distributions; hinges: (H, d), default a grid of hinge_spacing around the data; gamma: scalar or
         (H,), default config.gamma; weights: (N,) > 0; classes: C + 1 when y may lack the last class;
-        amplitude: (H,) > 0, default 1: a hinge point with a larger one pays less penalty for its weight;
         start: (H, C+1) weights that the fit begins with, default 0: it ends where it would, but sooner.
         Raises DataError for wrong shapes, NaN or labels out of range.
         """
@@ -92,11 +90,6 @@ class ContraMap:
         check_resolution(X, self.gamma)
         self.offset = self._offset(count)
         features = sparse_features(X, self.hinges, self.gamma, self.config.fit_cutoff, self.device)
-        if amplitude is not None:
-            louder = torch.from_numpy(checked_widths(amplitude, len(self.hinges), "amplitude")).to(
-                self.device
-            )
-            features = features.scaled(louder)
         order = features.order.cpu().numpy()
         # The map says "uncertain" beyond its hinge points whatever lies there: samples out of reach would
         # only drive the outermost weights up.
@@ -113,10 +106,8 @@ class ContraMap:
             lambda diagonal: sparse_factor(diagonal, self.hinges, self.gamma),
             self.config.l2,
             self.config.fit,
-            self._begin(start, None if amplitude is None else louder),
+            self._begin(start),
         )
-        if amplitude is not None:
-            self.W *= louder[:, None]
         return self
 
     def predict_proba(self, X: np.ndarray) -> np.ndarray:
@@ -191,15 +182,14 @@ class ContraMap:
         stored = StoredMap(self.hinges, self.gamma, W, offset, losses, converged, asdict(self.config))
         write_map(stored, Path(path))
 
-    def _begin(self, start: np.ndarray | None, louder: torch.Tensor | None) -> torch.Tensor | None:
+    def _begin(self, start: np.ndarray | None) -> torch.Tensor | None:
         """Where the fit begins, in the features that it sees."""
         if start is None:
             return None
         shape = (len(self.hinges), self.class_count)
         if np.shape(start) != shape or not np.isfinite(start).all():
             raise DataError(f"start must be {shape} finite weights, got shape {np.shape(start)}")
-        W = torch.from_numpy(np.ascontiguousarray(start, np.float32)).to(self.device)
-        return W if louder is None else W / louder[:, None]
+        return torch.from_numpy(np.ascontiguousarray(start, np.float32)).to(self.device)
 
     def _check_fitted(self) -> None:
         if not len(self.W) or len(self.W) != len(self.hinges):

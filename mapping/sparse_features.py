@@ -5,7 +5,7 @@ Knows points, hinge points and widths; knows nothing of classes, weights' meanin
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -40,11 +40,6 @@ class SparseFeatures:
     def times(self, W: torch.Tensor) -> torch.Tensor:
         """Phi W: (H, C) -> (N, C)."""
         return self.rows.times(W)
-
-    def scaled(self, amplitude: torch.Tensor) -> SparseFeatures:
-        """The same with the feature of each hinge point times its amplitude (H,)."""
-        values = self.rows.values * amplitude[self.rows.columns.long()]
-        return replace(self, rows=replace(self.rows, values=values))
 
 
 def sparse_features(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from mapping.compiled import compiled
@@ -66,16 +68,8 @@ def beyond_mask(pixels: np.ndarray, raw: np.ndarray, width: int) -> tuple[np.nda
 
     pixels: (N,) flat indices, of one label; raw: (H * W,) labels; width: of the image.
     """
-    column = pixels % width
     which, outer = [], []
-    for step, inside in (
-        (-1, column > 0),
-        (1, column < width - 1),
-        (-width, pixels >= width),
-        (width, pixels < len(raw) - width),
-    ):
-        own = np.flatnonzero(inside)
-        other = pixels[own] + step
+    for own, other in _neighbours(pixels, width, len(raw)):
         beyond = raw[other] != raw[pixels[0]]
         which.append(own[beyond])
         outer.append(other[beyond])
@@ -87,20 +81,25 @@ def border_pairs(region: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     region: (H, W) number of the region each pixel belongs to, 0 = none.
     """
-    height, width = region.shape
     flat = region.reshape(-1)
     pixels = np.flatnonzero(flat > 0)
-    column = pixels % width
     inner, outer = [], []
+    for own, other in _neighbours(pixels, region.shape[1], len(flat)):
+        border = flat[pixels[own]] != flat[other]
+        inner.append(pixels[own[border]])
+        outer.append(other[border])
+    return np.concatenate(inner), np.concatenate(outer)
+
+
+def _neighbours(pixels: np.ndarray, width: int, size: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Left, right, above and below: which of the pixels (N,), flat indices in an image of `size` pixels, have
+    such a neighbour, and its flat index."""
+    column = pixels % width
     for step, inside in (
         (-1, column > 0),
         (1, column < width - 1),
         (-width, pixels >= width),
-        (width, pixels < (height - 1) * width),
+        (width, pixels < size - width),
     ):
-        own = pixels[inside]
-        other = own + step
-        border = flat[own] != flat[other]
-        inner.append(own[border])
-        outer.append(other[border])
-    return np.concatenate(inner), np.concatenate(outer)
+        own = np.flatnonzero(inside)
+        yield own, pixels[own] + step

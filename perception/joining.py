@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from mapping.compiled import compiled
+from mapping.disjoint_sets import join
 
 SCATTER = 0x1E3779B97F4A7C15
 """An odd number that spreads keys over a table when it multiplies them."""
@@ -35,7 +36,7 @@ def _pieces(joined_right: np.ndarray, joined_down: np.ndarray, mask: np.ndarray)
             left = pieces[row, column - 1] if column and joined_right[row, column - 1] else 0
             above = pieces[row - 1, column] if row and joined_down[row - 1, column] else 0
             if left and above:
-                _join(parent, left, above)
+                join(parent, left, above)
             elif not left and not above:
                 parent[count] = left = count
                 count += 1
@@ -74,7 +75,7 @@ def connected_points(points: np.ndarray, scale: float) -> np.ndarray:
         for step in steps:
             other = table[_place(table, keys, keys[one] + step)]
             if other >= 0:
-                _join(parent, one, other)
+                join(parent, one, other)
     return _numbers(parent)[voxel]
 
 
@@ -102,22 +103,6 @@ def _place(table: np.ndarray, keys: np.ndarray, key: int) -> int:
     while table[place] >= 0 and keys[table[place]] != key:
         place = (place + 1) & (len(table) - 1)
     return place
-
-
-@compiled
-def _join(parent: np.ndarray, one: int, other: int) -> None:
-    """Make two things one; the first of all that hang together is their root."""
-    a, b = _root(parent, one), _root(parent, other)
-    parent[max(a, b)] = min(a, b)
-
-
-@compiled
-def _root(parent: np.ndarray, thing: int) -> int:
-    """The first of the things that hang together with one; the ways there become shorter."""
-    while parent[thing] != thing:
-        parent[thing] = parent[parent[thing]]
-        thing = parent[thing]
-    return thing
 
 
 @compiled

@@ -192,7 +192,7 @@ class PipelineConfig(Checked):
     samples: TabletopSamples | PaperSamples = field(default_factory=TabletopSamples)
     """Hinge points and training samples."""
     map: ModelConfig = field(
-        # Stops well before the optimum and drops features below two hundredths: a third of the work, and no
+        # Stops well before the optimum and drops features below two hundredths: a third less work, and no
         # figure of the meshes is worse, for what is seen is fused from the depth image.
         default_factory=lambda: ModelConfig(
             empty_log_odds=2.0, fit_cutoff=2e-2, fit=FitConfig(tolerance=1.2e-3, memory=4)

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from mapping.config import ModelConfig
-from mapping.contramap import ContraMap
 from mapping.errors import ConfigError, DataError
 from mapping.hashed_hinges import features_at, filled_nodes, hinges_at, logits_at
 from mapping.kernels import blocks, dense_features
@@ -139,18 +137,6 @@ def test_true_labels_follow_bayes():
     shares = np.array([[0.9, 0.1], [0.5, 0.5]], np.float32)
     mended = true_labels(np.array([1, 0]), shares, 0.2)
     np.testing.assert_allclose(mended, [[0.9 * 0.2 / 0.26, 0.1 * 0.8 / 0.26], [0.8, 0.2]], rtol=1e-5)
-
-
-def test_amplitudes_lower_the_penalty():
-    X = RNG.uniform(0, 1, (400, 2)).astype(np.float32)
-    y = (X[:, 0] > 0.5).astype(np.int64)
-    hinges = np.array([[0.25, 0.5], [0.75, 0.5]], np.float32)
-    strong, weak = (
-        ContraMap(ModelConfig(l2=1e-2)).fit(X, y, hinges, 10.0, amplitude=np.full(2, a)) for a in (1.0, 0.1)
-    )
-    assert strong.W.abs().max() > 3 * weak.W.abs().max()
-    with pytest.raises(DataError, match="amplitude"):
-        ContraMap(ModelConfig()).fit(X, y, hinges, 10.0, amplitude=np.zeros(2))
 
 
 def test_blocks_find_all_that_is_near_however_many_there_are():

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mapping.compiled import compiled
+from mapping.disjoint_sets import join
 
 SEEN_POINTS = 15
 """A part with this many seen points in its cells, and this share of them all, is no stray measurement: it
@@ -98,9 +99,9 @@ def _pieces(
     parent = np.arange(len(ends))  # an earlier run of the same piece; the first one's is itself
     for row in range(len(first_of_row) - 1):
         if row % width:
-            _join(row - 1, row, first_of_row, ends, signs, parent)
+            _join_rows(row - 1, row, first_of_row, ends, signs, parent)
         if row >= width:
-            _join(row - width, row, first_of_row, ends, signs, parent)
+            _join_rows(row - width, row, first_of_row, ends, signs, parent)
     # Roots are first runs: each comes before the runs that point at it.
     sizes, above, found = np.zeros(len(ends), np.int64), np.empty(len(ends), np.bool_), 0
     for row in range(len(first_of_row) - 1):
@@ -117,7 +118,7 @@ def _pieces(
 
 
 @compiled
-def _join(
+def _join_rows(
     earlier: int,
     row: int,
     first_of_row: np.ndarray,
@@ -129,20 +130,10 @@ def _join(
     one, other = first_of_row[row], first_of_row[earlier]
     while one < first_of_row[row + 1]:
         if signs[one] == signs[other]:
-            a, b = _root(parent, one), _root(parent, other)
-            parent[max(a, b)] = min(a, b)
+            join(parent, one, other)
         ended = ends[one] <= ends[other]
         other += ends[other] <= ends[one]
         one += ended
-
-
-@compiled
-def _root(parent: np.ndarray, run: int) -> int:
-    """The first run of a run's piece; the ways there become shorter."""
-    while parent[run] != run:
-        parent[run] = parent[parent[run]]
-        run = parent[run]
-    return run
 
 
 def parts_to_keep(
