@@ -29,7 +29,8 @@ from mapping.lattice import LatticeEvaluator
 from mapping.map_file import StoredMap, write_map
 from mapping.preconditioner import sparse_factor
 from mapping.softmax import FitReport, fit_softmax
-from mapping.sparse_features import sparse_features
+from mapping.sparse_features import SparseFeatures, sparse_features
+from mapping.tiled_features import TiledFeatures, tiled_features
 
 QUERIES = 200_000
 """Points whose sparse features are held at a time while predicting."""
@@ -89,11 +90,10 @@ class ContraMap:
         self.gamma = checked_widths(width, len(self.hinges))
         check_resolution(X, self.gamma)
         self.offset = self._offset(count)
-        features = sparse_features(X, self.hinges, self.gamma, self.config.fit_cutoff, self.device)
-        order = features.order.cpu().numpy()
+        features, order, strongest = self._features(X)
         # The map says "uncertain" beyond its hinge points whatever lies there: samples out of reach would
         # only drive the outermost weights up.
-        reached = features.strongest.cpu().numpy() > REACHED
+        reached = strongest > REACHED
         check_reached(reached)
         weights = np.where(reached, weights[order], np.float32(0))
         weights_t = torch.from_numpy(weights / weights.sum()).to(self.device)
@@ -181,6 +181,15 @@ class ContraMap:
         losses, converged = self.report.losses, self.report.converged
         stored = StoredMap(self.hinges, self.gamma, W, offset, losses, converged, asdict(self.config))
         write_map(stored, Path(path))
+
+    def _features(self, X: np.ndarray) -> tuple[TiledFeatures | SparseFeatures, np.ndarray, np.ndarray]:
+        """Features of samples (N, d) for the fit, the samples' order there, and the strongest of each."""
+        cutoff = self.config.fit_cutoff
+        if self.device.type == "cpu":
+            tiled = tiled_features(X, self.hinges, self.gamma, cutoff)
+            return tiled, tiled.order, tiled.strongest
+        found = sparse_features(X, self.hinges, self.gamma, cutoff, self.device)
+        return found, found.order.cpu().numpy(), found.strongest.cpu().numpy()
 
     def _begin(self, start: np.ndarray | None) -> torch.Tensor | None:
         """Where the fit begins, in the features that it sees."""

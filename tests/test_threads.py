@@ -11,8 +11,9 @@ import torch
 from conftest import Shape, make_tabletop
 
 from mapping import ContraMap, MapConfig
-from mapping.softmax import SHARED_FROM
+from mapping.lanes import LANES
 from mapping.threads import Threads, thread_count
+from mapping.tiled_features import SHARED_FROM
 from reconstruction import reconstruct
 
 
@@ -24,7 +25,7 @@ def threads() -> Iterator:
     torch.set_num_threads(before)
 
 
-def fitted(samples: int = SHARED_FROM + 500) -> np.ndarray:
+def fitted(samples: int = LANES * SHARED_FROM + 500) -> np.ndarray:
     rng = np.random.default_rng(1)
     X = rng.uniform(-0.2, 0.2, (samples, 3)).astype(np.float32)
     y = (np.linalg.norm(X, axis=1) < 0.12).astype(int)
@@ -32,7 +33,7 @@ def fitted(samples: int = SHARED_FROM + 500) -> np.ndarray:
     return ContraMap(MapConfig(gamma=1000.0)).fit(X, y, hinges=hinges).W.numpy().copy()
 
 
-@pytest.mark.parametrize("samples", [500, SHARED_FROM + 500])
+@pytest.mark.parametrize("samples", [500, LANES * SHARED_FROM + 500])
 def test_one_thread_and_two_fit_the_same_weights(threads, samples: int) -> None:
     threads(1)
     one = fitted(samples)
