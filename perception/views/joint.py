@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from mapping.near_points import near_any
 from perception.frame import Frame
 from perception.observation import (
     NO_PIXELS,
@@ -147,7 +147,7 @@ def _merged(label: int, seen: Sequence[Observation], stack: Stack) -> ObservedOb
     guessed = np.concatenate([stack.place(index, item.guessed) for index, item in own])
     places = np.concatenate([item.guessed_points for _, item in own])
     if len(guessed) and len(own) > 1:
-        unseen = cKDTree(points).query(places, distance_upper_bound=2 * SAME_PLACE)[0] > SAME_PLACE
+        unseen = ~near_any(places, points, SAME_PLACE)
         guessed, places = guessed[unseen], places[unseen]
     resting = next((item for _, item in own if item.rests), first)
     return ObservedObject(
@@ -181,7 +181,6 @@ def _obstacles(objects: Sequence[ObservedObject], seen: Sequence[Observation], s
     pixels = np.concatenate([stack.place(index, one.other.pixels) for index, one in enumerate(seen)])
     bulky = np.concatenate([one.other.bulky for one in seen])
     if len(points):
-        known = cKDTree(np.concatenate([item.points for item in objects]))
-        kept = known.query(points, distance_upper_bound=2 * SAME_PLACE)[0] > SAME_PLACE
+        kept = ~near_any(points, np.concatenate([item.points for item in objects]), SAME_PLACE)
         points, pixels, bulky = points[kept], pixels[kept], bulky[kept]
     return OtherSurface(points, pixels, bulky)

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapping.hinges import lattice_near_points
-from mapping.samples import jittered, jittered_lattice
 from perception.observation import SUPPORT
 from perception.space import Region
 from reconstruction.samples.reach_down import visible_end
@@ -47,7 +46,7 @@ def open_space(scope: Scope) -> OpenSpace:
     unknown[unknown] = scope.near(hidden[unknown], config.unknown_distance)
     hidden = hidden[(region == Region.OCCLUDED) | unknown]
     near = lattice_near_points(scope.seen, config.near_distance, config.near_spacing)
-    near = jittered(near, config.near_spacing, scope.rng)
+    near = scope.draws.jitter(near, config.near_spacing)
     is_empty, is_hidden = scope.classify(near)
     hidden = np.concatenate([hidden, near[is_hidden], _beyond_border(scope)])
     hidden = hidden[~_within_wall(scope, hidden)]
@@ -63,7 +62,7 @@ def _beyond_border(scope: Scope) -> np.ndarray:
         if scope.observation.at_border(item):
             low, high = item.bounds
             low = np.maximum(low - config.unknown_distance, [-np.inf, -np.inf, scope.floor])
-            points = jittered_lattice(low, high + config.unknown_distance, config.near_spacing, scope.rng)
+            points = scope.draws.lattice(low, high + config.unknown_distance, config.near_spacing)
             parts.append(points[(scope.space.pixel_of(points) < 0) & (points[:, 2] > low[2])])
     return np.concatenate(parts)
 
@@ -79,7 +78,7 @@ def below_support(scope: Scope) -> np.ndarray:
         top, bottom = scope.floor + top, scope.floor + bottom
         layer = np.array([*scope.low[:2], bottom]), np.array([*scope.high[:2], top])
         points = scope.cover(spacing, *layer)
-        layers.append(points[points[:, 2] < top])
+        layers.append(points[(points[:, 2] < top) & (points[:, 2] >= np.float32(bottom))])
     below = np.concatenate(layers)
     return below if len(scope.observation.levels) == 1 else below[_under_own_support(scope, below)]
 
@@ -88,14 +87,15 @@ def feet(scope: Scope) -> np.ndarray:
     """Samples (M, 3) under the support plane where an object may stand unseen, most of them right under it:
     they close the objects' bottoms."""
     config = scope.config
-    points = jittered_lattice(scope.low * LEVEL, scope.high * LEVEL, config.foot_spacing, scope.rng)
+    points = scope.draws.lattice(scope.low * LEVEL, scope.high * LEVEL, config.foot_spacing)
     points[:, 2] += scope.floor
     points = points[scope.near(points, config.foot_distance) | _under_hovering(scope, points)]
     points[:, 2] = scope.floor + FOOT_CLEARANCE
     points = points[scope.space.classify(points) != Region.FREE]
-    deeper = points[scope.rng.random(len(points)) < DEEPER_SHARE]
+    deeper = points[scope.draws.chance(points, 0) < DEEPER_SHARE]
     points[:, 2] = scope.floor - FOOT_CLEARANCE
-    deeper[:, 2] = scope.floor - scope.rng.uniform(*DEEPER, len(deeper))
+    least, most = DEEPER
+    deeper[:, 2] = scope.floor - (least + (most - least) * scope.draws.chance(deeper, 1))
     return np.concatenate([points, deeper])
 
 

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mapping.samples import jittered_lattice
 from perception.observation import Observation, ObservedObject, near_boxes
 from perception.space import Region, Space
 from reconstruction.config import TabletopSamples
+from reconstruction.samples.draws import Draws, draws_of
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,7 @@ class Scope:
     space: Space
     config: TabletopSamples
     rng: np.random.Generator
+    draws: Draws
     items: tuple[ObservedObject, ...]
     classes: tuple[int, ...]
     seen: np.ndarray
@@ -40,7 +41,7 @@ class Scope:
         cls, observation: Observation, space: Space, config: TabletopSamples, rng: np.random.Generator
     ) -> list[Scope]:
         """Scopes for all objects: each the box around its objects, no deeper than their support."""
-        scopes = []
+        scopes, draws = [], draws_of(space, rng)
         for group in groups(observation, config.radius, config.radius_share):
             items = tuple(observation.objects[index] for index in group)
             seen = np.concatenate([item.outline for item in items])
@@ -51,7 +52,7 @@ class Scope:
                 low[2] = floor
             own = space if floor == space.floor else replace(space, floor=floor)
             classes = tuple(index + 1 for index in group)
-            scopes.append(cls(observation, own, config, rng, items, classes, seen, low, high, floor))
+            scopes.append(cls(observation, own, config, rng, draws, items, classes, seen, low, high, floor))
         return scopes
 
     @property
@@ -72,7 +73,7 @@ class Scope:
     ) -> np.ndarray:
         """Jittered samples (M, 3) of a box, the whole one by default, within `radius` of an object's box."""
         low, high = self.low if low is None else low, self.high if high is None else high
-        points = jittered_lattice(low, high, spacing, self.rng)
+        points = self.draws.lattice(low, high, spacing)
         return points[self.near(points, self.config.radius, self.config.radius_share)]
 
     def classify(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

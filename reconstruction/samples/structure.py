@@ -14,6 +14,7 @@ from perception.space import Region, Space
 from perception.views.joint_space import each_view
 from reconstruction.config import TabletopSamples
 from reconstruction.prior.evidence import hidden_labels
+from reconstruction.prior.remembered import remembered
 from reconstruction.samples.obstacles import with_obstacles
 from reconstruction.samples.reach_down import may_lack_foot, reach_down
 
@@ -72,7 +73,7 @@ def _all_views(
     total = np.full_like(odds, LEAST_WEIGHT)
     odds += LEAST_WEIGHT * NOBODYS
     for seen, space in views:
-        guess = np.maximum(_objects(seen, space, config, points), LEAST_CHANCE)
+        guess = np.maximum(_objects(seen, space, config, points, again=True), LEAST_CHANCE)
         region, behind = space.classify(points), space.depth_behind(points)
         weight = HALF_KNOWN / (HALF_KNOWN + np.maximum(behind, 0))
         weight[(region == Region.OUT_OF_VIEW) | np.isnan(behind)] = OUTSIDE_WEIGHT
@@ -93,11 +94,16 @@ def _area(item: ObservedObject, space: Space) -> float:
 
 
 def _objects(
-    observation: Observation, space: Space, config: TabletopSamples, points: np.ndarray
+    observation: Observation, space: Space, config: TabletopSamples, points: np.ndarray, again: bool = False
 ) -> np.ndarray:
-    """(N, K+1) guess of {empty, object 1..K} at points (N, 3)."""
+    """(N, K+1) guess of {empty, object 1..K} at points (N, 3). again: most of them may be asked again, when a
+    view is added."""
     if config.prior == "learned" and observation.support is not None:
-        guess = hidden_labels(observation, space, points)
+
+        def ask(points: np.ndarray) -> np.ndarray:
+            return hidden_labels(observation, space, points)
+
+        guess = remembered(observation.memo, "guess", points, ask) if again else ask(points)
         gaps = [item.bounds[0][2] - item.floor for item in observation.objects]
         for index in np.argsort(gaps, kind="stable"):  # the lowest first: what lies on top rests on them
             item = observation.objects[index]

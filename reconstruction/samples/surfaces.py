@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mapping.samples import shift_along_rays, voxel_subsample
+from mapping.samples import shift_along_rays
 from reconstruction.samples.open_space import FOOT_CLEARANCE
 from reconstruction.samples.scope import Scope
 
@@ -34,14 +34,14 @@ def surface_samples(scope: Scope) -> SurfaceSamples:
     """Samples around a subsample of every object's seen points. Nothing reaches into the table; what lies
     flat on it is filled down to it."""
     config = scope.config
-    chosen = [voxel_subsample(item.points, config.surface_voxel, scope.rng) for item in scope.items]
+    chosen = [scope.draws.subsample(item.points, item.pixels, config.surface_voxel) for item in scope.items]
     points = [item.points[rows] for item, rows in zip(scope.items, chosen)]
     pixels = [item.pixels[rows] for item, rows in zip(scope.items, chosen)]
     owner = np.repeat(scope.classes, [len(of_one) for of_one in points])
     measured = len(owner)
     for item, of_class in zip(scope.items, scope.classes):
         if len(item.guessed):
-            rows = voxel_subsample(item.guessed_points, config.surface_voxel, scope.rng)
+            rows = scope.draws.subsample(item.guessed_points, item.guessed, config.surface_voxel)
             points.append(item.guessed_points[rows])
             pixels.append(item.guessed[rows])
             owner = np.concatenate([owner, np.full(len(rows), of_class)])

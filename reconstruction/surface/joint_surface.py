@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mapping.compiled import compiled
 from perception.views.joint import JointObservation
 from reconstruction.surface.reading import FAR, Reading
 from reconstruction.surface.seen_surface import Edges, SeenSurface
@@ -26,6 +27,7 @@ OPPOSED = -0.5
 """Two views see the two sides of a thing where the normals of what they see have no larger dot product."""
 UNSEEN = -9
 """Number of an object in a view that does not see it."""
+_FAR, _OPPOSED = np.float32(FAR), np.float32(OPPOSED)
 
 
 @dataclass(frozen=True)
@@ -89,32 +91,29 @@ class JointEdges:
 
     def read(self, points: np.ndarray) -> Reading:
         """What all depth images say of points (N, 3) float32 [m]."""
-        readings = [edges.read(points) for edges in self.views]
-        distance = _same_surface([one.distance for one in readings], self.weights, self.spread)
-        if self.thinnest > 0:
-            self._thicken(distance, points, readings)
-        np.minimum(distance, self.above_floor(points[:, 2]), out=distance)
-        depth = np.minimum.reduce([one.depth for one in readings])
-        others = np.minimum.reduce(
-            [np.where(one.others > 0, one.others, np.float32(FAR)) for one in readings]
-        )
-        return Reading(distance, depth, others)
+        points = np.ascontiguousarray(points, np.float32)
+        return self.together(points, [edges.read(points) for edges in self.views])
 
-    def _thicken(self, distance: np.ndarray, points: np.ndarray, readings: Sequence[Reading]) -> None:
+    def together(self, points: np.ndarray, readings: Sequence[Reading]) -> Reading:
+        """What readings of points (N, 3) float32 [m], one a view, come to."""
+        distances, depths, others = (np.stack(parts) for parts in zip(*readings))
+        weights = np.array(self.weights, np.float32)
+        distance, depth, of_others, nearest = _joined(distances, depths, others, weights, self.spread)
+        if self.thinnest > 0:
+            self._thicken(distance, points, nearest)
+        np.minimum(distance, self.above_floor(points[:, 2]), out=distance)
+        return Reading(distance, depth, of_others)
+
+    def _thicken(self, distance: np.ndarray, points: np.ndarray, nearest: np.ndarray) -> None:
         """Move points (N, 3) that are before what one view sees, and behind its other side that another view
-        sees, into it where it is thinner than `thinnest`: between lattice nodes it would be lace."""
+        sees, into it where it is thinner than `thinnest`: between lattice nodes it would be lace. nearest:
+        (N,) the view whose distance is least."""
         between = np.flatnonzero((distance < 0) & (distance > -self.thinnest))
         if not len(between):
             return
-        shown = [edges.facing(points[between]) for edges in self.views]
-        first = np.argmin([one.distance[between] for one in readings], axis=0)
-        front = np.stack([normals for normals, _ in shown])[first, np.arange(len(between))]
-        before = distance[between]
-        for normals, behind in shown:
-            opposed = (behind >= 0) & ((normals * front).sum(1) < OPPOSED)
-            lacking = self.thinnest - np.maximum(before + behind, 0)
-            moved = before + np.maximum(lacking, 0) / 2
-            distance[between] = np.where(opposed, np.maximum(distance[between], moved), distance[between])
+        normals, behind = zip(*(edges.facing(points[between]) for edges in self.views))
+        front = np.stack(normals), np.stack(behind), nearest[between]
+        distance[between] = _thickened(distance[between], *front, np.float32(self.thinnest))
 
     def behind(self, points: np.ndarray, distance: float) -> np.ndarray:
         """Points (N, 3) moved by `distance` [m] away from each camera in turn."""
@@ -127,13 +126,48 @@ class JointEdges:
         return height - np.float32(self.floor)
 
 
-def _same_surface(distances: Sequence[np.ndarray], weights: Sequence[float], spread: float) -> np.ndarray:
-    """(N,) mean of the distances (N,) within `spread` of the least one."""
-    least = np.minimum.reduce(distances)
-    limit = least + np.float32(spread)
-    total, sums = np.zeros_like(least), np.zeros_like(least)
-    for distance, weight in zip(distances, weights):
-        share = np.where((distance <= limit) & (distance < FAR), np.float32(weight), np.float32(0))
-        total += share
-        sums += share * np.minimum(distance, np.float32(FAR))
-    return np.where(total > 0, sums / np.maximum(total, np.float32(1e-6)), np.float32(FAR))
+@compiled
+def _joined(
+    distances: np.ndarray, depths: np.ndarray, others: np.ndarray, weights: np.ndarray, spread: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of readings (V, N): the mean (N,) of distances within `spread` of the least one; the least depth; how
+    far below others, FAR where no view sees any; and the view of the least distance."""
+    views, count = distances.shape
+    distance, depth = np.empty(count, np.float32), np.empty(count, np.float32)
+    of_others, nearest = np.empty(count, np.float32), np.empty(count, np.int64)
+    for i in range(count):
+        first, deep, other = 0, depths[0, i], _FAR
+        for v in range(views):
+            if distances[v, i] < distances[first, i]:
+                first = v
+            deep = min(deep, depths[v, i])
+            if others[v, i] > 0:
+                other = min(other, others[v, i])
+        limit = distances[first, i] + np.float32(spread)
+        total = sums = np.float32(0)
+        for v in range(views):
+            if distances[v, i] <= limit and distances[v, i] < _FAR:
+                total += weights[v]
+                sums += weights[v] * distances[v, i]
+        distance[i] = sums / max(total, np.float32(1e-6)) if total > 0 else _FAR
+        depth[i], of_others[i], nearest[i] = deep, other, first
+    return distance, depth, of_others, nearest
+
+
+@compiled
+def _thickened(
+    before: np.ndarray, normals: np.ndarray, behind: np.ndarray, nearest: np.ndarray, thinnest: float
+) -> np.ndarray:
+    """Distances (N,) of points before what the view `nearest` (N,) sees, moved into a thing that is thinner
+    than `thinnest` where another view sees its other side. normals: (V, N, 3), behind: (V, N), as facing
+    gives them."""
+    moved = before.copy()
+    for i in range(len(before)):
+        front = normals[nearest[i], i]
+        for v in range(len(normals)):
+            other = normals[v, i]
+            cosine = front[0] * other[0] + front[1] * other[1] + front[2] * other[2]
+            if behind[v, i] >= 0 and cosine < _OPPOSED:
+                lacking = thinnest - max(before[i] + behind[v, i], np.float32(0))
+                moved[i] = max(moved[i], before[i] + max(lacking, np.float32(0)) / 2)
+    return moved

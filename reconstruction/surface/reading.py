@@ -70,15 +70,48 @@ class Outline(NamedTuple):
 @compiled
 def read_points(points: np.ndarray, image: Image, outline: Outline) -> tuple[np.ndarray, ...]:
     """The three arrays of a `Reading` of points (N, 3) float32 [m]."""
+    distance = np.empty(len(points), np.float32)
+    depth, others = np.empty_like(distance), np.empty_like(distance)
+    read_into(points, image, outline, distance, depth, others)
+    return distance, depth, others
+
+
+@compiled
+def faced(points: np.ndarray, image: Image, own: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of what object `own` shows on the ray through each of points (N, 3) float32 [m]: the normal (N, 3) away
+    from the camera, 0 where it shows nothing there, and how far the point is behind it (N,) [m], 0 there."""
+    A, b, _, owners, _, planes = image
+    rows, columns = owners.shape
+    normals, behind = np.zeros((len(points), 3), np.float32), np.zeros(len(points), np.float32)
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        away = max(A[2, 0] * x + A[2, 1] * y + A[2, 2] * z + b[2], NEAREST)
+        u = (A[0, 0] * x + A[0, 1] * y + A[0, 2] * z + b[0]) / away
+        v = (A[1, 0] * x + A[1, 1] * y + A[1, 2] * z + b[1]) / away
+        column = int(np.rint(min(max(u, -BEYOND), BEYOND)))
+        row = int(np.rint(min(max(v, -BEYOND), BEYOND)))
+        if 0 <= column < columns and 0 <= row < rows and owners[row, column] == own:
+            plane = planes[row * columns + column]
+            normals[i] = plane[:3]
+            behind[i] = plane[0] * x + plane[1] * y + plane[2] * z - plane[3]
+    return normals, behind
+
+
+@compiled
+def read_into(
+    points: np.ndarray,
+    image: Image,
+    outline: Outline,
+    distances: np.ndarray,
+    below_own: np.ndarray,
+    below_others: np.ndarray,
+) -> None:
+    """Fill the three arrays (N,) float32 of a `Reading` of points (N, 3) float32 [m]."""
     A, b, focal, owners, depths, planes = image
     own, floor, top, left, nearest, edge_pixels, edge_planes = outline
     rows, columns = owners.shape
     _, height, width = nearest.shape
-    count = len(points)
-    distances = np.empty(count, np.float32)
-    below_own = np.empty(count, np.float32)
-    below_others = np.empty(count, np.float32)
-    for i in range(count):
+    for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         away = max(A[2, 0] * x + A[2, 1] * y + A[2, 2] * z + b[2], NEAREST)
         u = (A[0, 0] * x + A[0, 1] * y + A[0, 2] * z + b[0]) / away
@@ -118,4 +151,3 @@ def read_points(points: np.ndarray, image: Image, outline: Outline) -> tuple[np.
         distances[i] = min(distance, z - floor)
         below_own[i] = behind if owner == own and not free else _FAR
         below_others[i] = behind if owner >= 0 and owner != own else _FAR
-    return distances, below_own, below_others

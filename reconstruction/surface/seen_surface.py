@@ -17,11 +17,11 @@ from reconstruction.surface.image_edges import BORDER, box_of, edge_pixels, near
 from reconstruction.surface.reading import (
     BACKGROUND,
     FAR,
-    NEAREST,
     NOT_MEASURED,
     Image,
     Outline,
     Reading,
+    faced,
     read_points,
 )
 from reconstruction.surface.smooth_depth import surface_planes
@@ -84,15 +84,6 @@ class SeenSurface:
         focal = np.float32(min(K[0, 0], K[1, 1]))
         A, b = np.ascontiguousarray(P[:, :3]), np.ascontiguousarray(P[:, 3])
         return Image(A, b, focal, self.owner, self.depth.astype(np.float32, copy=False), self.planes)
-
-    def pixels_of(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Flat pixels (N,) of points (N, 3) float32 [m], and whether they are in the image (N,), else 0."""
-        u, v, z = self.image.A @ points.T + self.image.b[:, None]
-        np.maximum(z, NEAREST, out=z)
-        column, row = np.rint(u / z).astype(np.int32), np.rint(v / z).astype(np.int32)
-        width, height = self.camera.width, self.camera.height
-        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-        return np.where(inside, row * np.int32(width) + column, 0), inside
 
     def edges(self, index: int) -> Edges:
         """The edges of one object's image; the same when asked again."""
@@ -171,11 +162,10 @@ class Edges:
 
     def facing(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of what the object shows on the ray through each point: the normal (N, 3) away from the camera, 0
-        where it shows nothing there, and how far the point is behind it (N,) [m]."""
-        pixel, inside = self.seen.pixels_of(points)
-        own = inside & (self.seen.owner.reshape(-1).take(pixel) == self.index)
-        normals = np.where(own[:, None], self.seen.planes[pixel, :3], np.float32(0))
-        return normals, below(self.seen.planes, pixel, np.ascontiguousarray(points.T))
+        where it shows nothing there, and how far the point is behind it (N,) [m], 0 there."""
+        points = np.ascontiguousarray(points, np.float32)
+        normals, behind = faced(points, self.seen.image, self.index)
+        return normals, behind
 
     def behind(self, points: np.ndarray, distance: float) -> np.ndarray:
         """Points (N, 3) moved by `distance` [m] away from the camera."""
@@ -190,10 +180,3 @@ class Edges:
         if self.seen.floors is None:
             return np.full(len(height), np.float32(FAR))
         return height - np.float32(self.seen.floors[self.index])
-
-
-def below(planes: np.ndarray, which: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """How far points, as coordinates (3, N) float32 [m], lie behind planes (P, 4) float32; which: (N,)."""
-    nx, ny, nz, c = planes[which].T
-    x, y, z = axes
-    return nx * x + (ny * y + nz * z) - c

@@ -96,14 +96,22 @@ def _add_walls(values: np.ndarray, level: np.ndarray, wall: np.ndarray, reach: n
 
 def _unpassed(points: np.ndarray, edges: Edges | JointEdges, seen: np.ndarray) -> np.ndarray:
     """How far points (N, 3) [m] are behind what was measured (N,), as log odds; NaN where rays passed."""
-    if isinstance(edges, JointEdges):
-        passed = np.any([_passed(points, view, view.read(points), seen) for view in edges.views], axis=0)
-        passed |= edges.above_floor(points[:, 2]) < -GRAZED
-        distance = edges.read(points).distance
-    else:
+    if not isinstance(edges, JointEdges):
         reading = edges.read(points)
-        passed, distance = _passed(points, edges, reading, seen), reading.distance
-    return np.where(passed, np.float32(np.nan), np.float32(PER_METRE) * distance)
+        passed = _passed(points, edges, reading, seen)
+        return np.where(passed, np.float32(np.nan), np.float32(PER_METRE) * reading.distance)
+    # Most places are passed by the first view's rays: no other view is asked about those.
+    reach = np.full(len(points), np.nan, np.float32)
+    left = np.flatnonzero(edges.above_floor(points[:, 2]) >= -GRAZED)
+    points = points[left]
+    readings: list[Reading] = []
+    for view in edges.views:
+        reading = view.read(points)
+        stay = np.flatnonzero(~_passed(points, view, reading, seen))
+        readings = [Reading(*(part[stay] for part in one)) for one in (*readings, reading)]
+        points, left = points[stay], left[stay]
+    reach[left] = np.float32(PER_METRE) * edges.together(points, readings).distance
+    return reach
 
 
 def _passed(points: np.ndarray, edges: Edges, reading: Reading, seen: np.ndarray) -> np.ndarray:
