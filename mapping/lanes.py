@@ -132,6 +132,17 @@ def above(context: Any, a: Any, least: Any) -> Any:
 
 
 @intrinsic
+def any_above(context: Any, a: Any, least: Any) -> Any:
+    """Whether any of the eight numbers is more than `least`."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        bits = builder.bitcast(builder.fcmp_ordered(">", *args), ir.IntType(LANES))
+        return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
+
+    return types.boolean(_vector, _vector), generate
+
+
+@intrinsic
 def highest(context: Any, a: Any) -> Any:
     """The largest of the eight numbers."""
 

@@ -10,20 +10,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from mapping.checks import checked_points
 from mapping.config import FitConfig
 from mapping.errors import ConfigError, DataError
-from mapping.hashed_hinges import HashedHinges, filled_nodes, hinges_at, logits_at
+from mapping.hashed_hinges import HashedHinges, cube_by_cube, filled_nodes, hinges_at
+from mapping.hashed_tiles import logits_at
 from mapping.label_noise import disagreement, true_labels, wrong_label_share
 from mapping.samples import merge_in_cells
 from mapping.settings import Checked, NotNegative, OpenShare, Positive, Share
 from mapping.softmax import FitReport
 from mapping.weighed_features import WeighedFeatures
 
-ABSENT = -30.0
-"""Logit of classes that no sample had."""
 LATTICE_ROWS = 2**20
 """Lattice points that are asked for in one go."""
 
@@ -75,7 +73,7 @@ class MultiscaleConfig(Checked):
     """Share of a sample's disagreement with its neighbours that becomes "uncertain" instead of its class."""
     far_uncertainty: OpenShare = 0.95
     """p(uncertain) out of reach of every hinge point."""
-    fit: FitConfig = field(default_factory=lambda: FitConfig(tolerance=2e-4))
+    fit: FitConfig = field(default_factory=lambda: FitConfig(tolerance=2e-4, memory=4))
     """How the loss is minimised."""
 
 
@@ -141,7 +139,7 @@ class MultiscaleMap:
         weights = whole.weights(0.0 if mend else config.class_balance)[y]
         if config.merge:
             X, y, weights = merge_in_cells(X, y, weights, config.merge)
-        nodes = [filled_nodes(X, np.array(spacing)) for spacing in config.spacings]
+        nodes = [cube_by_cube(filled_nodes(X, np.array(spacing))) for spacing in config.spacings]
         spacings, amplitudes = np.array(config.spacings), np.array(config.amplitudes)
         self.hinges = hinges_at(nodes, spacings, amplitudes, config.width, config.cutoff)
         noise, total = np.empty((0, 3)), int(whole.counts.sum())
@@ -154,13 +152,21 @@ class MultiscaleMap:
         labels = np.eye(len(self.known), dtype=np.float32)[y]
         self._fit_labels(samples, X, labels, l2)
         if mend:
-            shares = torch.softmax(samples.times(self.W)[: len(X), : len(self.known)], 1)
-            labels = true_labels(y, shares.numpy(), whole.wrong)
-            self._fit_labels(samples, X, labels, config.mended_penalty * l2)
+            shares = logits_at(X, self.hinges, self.W, self._offset(), shares=True)[:, : len(self.known)]
+            labels = true_labels(y, shares, whole.wrong)
+            self._fit_labels(samples, X, labels, config.mended_penalty * l2, self.W)
         return self
 
-    def _fit_labels(self, samples: WeighedFeatures, X: np.ndarray, labels: np.ndarray, l2: float) -> None:
-        """Find the weights that explain labels (N, C) of data X (N, 3), shares of the classes they have."""
+    def _fit_labels(
+        self,
+        samples: WeighedFeatures,
+        X: np.ndarray,
+        labels: np.ndarray,
+        l2: float,
+        start: np.ndarray | None = None,
+    ) -> None:
+        """Find the weights that explain labels (N, C) of data X (N, 3), shares of the classes they have, from
+        `start` (H, C)."""
         target = labels
         if self.uncertain:
             doubt = self.config.doubt * disagreement(X, labels.argmax(1), self.config.label_cells[-1])
@@ -168,34 +174,31 @@ class MultiscaleMap:
             target[: len(X), :-1] = (1 - doubt[:, None]) * labels
             target[: len(X), -1] = doubt
             target[len(X) :, -1] = 1
-        self.W, self.report = samples.fit(target, self._offset(), l2, self.config.fit)
+        self.W, self.report = samples.fit(target, self._offset(), l2, self.config.fit, start)
 
     @property
     def size(self) -> int:
         """Numbers that the map keeps."""
         return self.W.size + self._fitted().nodes.size
 
-    def logits(self, X: np.ndarray) -> torch.Tensor:
-        """Logits (N, C + 1) at points (N, 3) [m], the uncertain class last; (N, C) if there is none."""
-        found = logits_at(_in_space(X), self._fitted(), self.W, self._offset())
-        if len(self.known) < self.classes:
-            every = np.full((len(found), self.classes + self.uncertain), ABSENT, np.float32)
-            every[:, np.append(self.known, self.classes) if self.uncertain else self.known] = found
-            found = every
-        return torch.from_numpy(found)
-
     def predict_known(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Probabilities (N, C) of the classes but "uncertain" at points (N, 3) [m], and p(uncertain) (N,)."""
-        logits = self.logits(X)
-        if self.uncertain:
-            shares = torch.softmax(logits[:, :-1], 1).numpy()
-            return shares, torch.softmax(logits, 1)[:, -1].numpy()
-        shares = torch.softmax(logits, 1).numpy()
-        return shares, 1 - shares.max(axis=1)
+        every = self.predict_proba(X)
+        if not self.uncertain:
+            return every, 1 - every.max(axis=1)
+        shares = every[:, :-1]
+        shares /= shares.sum(axis=1, keepdims=True)
+        return shares, every[:, -1]
 
     def predict_proba(self, X: np.ndarray) -> np.ndarray:
-        """Class probabilities (N, C + 1) at points (N, 3) [m], the uncertain class last."""
-        return torch.softmax(self.logits(X), 1).numpy()
+        """Class probabilities (N, C + 1) at points (N, 3) [m], the uncertain class last; (N, C) if there is
+        none."""
+        found = logits_at(_in_space(X), self._fitted(), self.W, self._offset(), shares=True)
+        if len(self.known) == self.classes:
+            return found
+        every = np.zeros((len(found), self.classes + self.uncertain), np.float32)
+        every[:, np.append(self.known, self.classes) if self.uncertain else self.known] = found
+        return every
 
     def predict_lattice(self, axes: tuple[np.ndarray, ...]) -> np.ndarray:
         """Class probabilities (*lattice, C + 1) on the lattice that three coordinate arrays [m] span."""

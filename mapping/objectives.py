@@ -11,11 +11,10 @@ from typing import Protocol
 import numpy as np
 import torch
 
-from mapping.lanes import LANES
 from mapping.sparse_features import SparseFeatures
 from mapping.threads import Threads
 from mapping.tiled_features import TiledFeatures
-from mapping.tiles import cross_entropy, squares_of_columns, tiled
+from mapping.tiles import cross_entropy, flat, squares_of_columns, tiled
 
 
 class Objective(Protocol):
@@ -79,11 +78,10 @@ class _TiledObjective:
         return torch.from_numpy(0.25 * np.sum(squares, 0) + np.float32(self.l2))
 
     def at(self, W: torch.Tensor) -> tuple[float, torch.Tensor]:
-        flat = np.zeros(W.numel() + LANES, np.float32)
-        flat[: W.numel()] = W.numpy().reshape(-1)
+        weights = flat(W.numpy())
         losses, slopes = zip(
             *self.threads.map(
-                lambda share: cross_entropy(share[0], share[1], share[2], self.offset, flat), self.shares
+                lambda share: cross_entropy(share[0], share[1], share[2], self.offset, weights), self.shares
             )
         )
         total = slopes[0]

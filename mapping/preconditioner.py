@@ -57,7 +57,7 @@ def sparse_factor(diagonal: torch.Tensor, hinges: np.ndarray, gamma: np.ndarray)
 
     def rows_of(part: slice) -> tuple[np.ndarray, np.ndarray]:
         near = tree.query(hinges[part], candidates)[1].reshape(-1, candidates)
-        return _factor_rows(part.start, near, rank, hinges, gamma)
+        return factor_rows(part.start, near, rank, hinges, gamma)
 
     with Threads(diagonal.device) as threads:
         parts = zip(*threads.map(rows_of, threads.split(count)))
@@ -70,7 +70,7 @@ def sparse_factor(diagonal: torch.Tensor, hinges: np.ndarray, gamma: np.ndarray)
 
 
 @compiled
-def _factor_rows(
+def factor_rows(
     first: int, near: np.ndarray, rank: np.ndarray, places: np.ndarray, gamma: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows first.. of the factor for correlations, n of NEIGHBOURS + 1 entries: columns and values, (n * .,).

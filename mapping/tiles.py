@@ -82,6 +82,11 @@ def tiled(rows: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(out.reshape(count, LANES, -1).transpose(0, 2, 1))
 
 
+def flat(W: np.ndarray) -> np.ndarray:
+    """Weights (H, C) as `cross_entropy` and `answer_tiles` read them: row by row, and eight numbers more."""
+    return np.append(np.asarray(W, np.float32).reshape(-1), np.zeros(LANES, np.float32))
+
+
 @compiled
 def squares_of_columns(tiles: Tiles, weights: np.ndarray, width: int) -> np.ndarray:
     """Of every column (width,) the sum of its squared entries, each times its row's weight, of (T, 8)."""
@@ -141,6 +146,33 @@ def cross_entropy(
                 residual[lane * padded + c] = lanes[lane]
         _add_slopes(tiles, own.start, own.stop, residual, padded, classes, slopes)
     return loss, slopes
+
+
+@compiled
+def answer_tiles(
+    tiles: Tiles, W: np.ndarray, offset: np.ndarray, shares: bool, order: np.ndarray, out: np.ndarray
+) -> None:
+    """Write the logits of rows, or their softmax where shares are asked for, to out (N, C): row i goes to
+    out[order[i]]. W and offset: as in `cross_entropy`."""
+    classes = len(offset)
+    logits = np.empty(-(-classes // LANES) * LANES * LANES, np.float32)
+    for t in range(len(tiles.starts) - 1):
+        _logits(tiles, tiles.starts[t], tiles.starts[t + 1], W, offset, logits)
+        if shares:
+            highest = load(logits, 0)
+            for c in range(1, classes):
+                highest = larger(highest, load(logits, c * LANES))
+            total = every(np.float32(0))
+            for c in range(classes):
+                power = exponential(minus(load(logits, c * LANES), highest))
+                store(logits, c * LANES, power)
+                total = plus(total, power)
+            for c in range(classes):
+                store(logits, c * LANES, over(load(logits, c * LANES), total))
+        for lane in range(min(LANES, len(order) - LANES * t)):
+            row = order[LANES * t + lane]
+            for c in range(classes):
+                out[row, c] = logits[c * LANES + lane]
 
 
 @compiled

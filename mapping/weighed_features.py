@@ -6,17 +6,16 @@ Knows points, weights and hinge points; must not know what a class means.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import torch
 
 from mapping.config import FitConfig
-from mapping.hashed_hinges import HashedHinges, features_at, order_of
-from mapping.preconditioner import SparseFactor, sparse_factor
+from mapping.hashed_hinges import HashedHinges
+from mapping.hashed_tiles import features_in_tiles
+from mapping.lattice_factor import LatticeFactor
 from mapping.softmax import FitReport, fit_softmax
-from mapping.sparse_features import SparseFeatures
-from mapping.sparse_rows import SparseRows
+from mapping.tiled_features import TiledFeatures
 
 REACHED = 0.05
 """A sample whose strongest feature is below this is out of the hinge points' reach."""
@@ -25,30 +24,25 @@ REACHED = 0.05
 @dataclass(frozen=True)
 class WeighedFeatures:
     """features: rows in their own order; weights: (N,) of the rows, 1 in sum; total: what that sum was;
-    hinges: their columns."""
+    factor: of their columns."""
 
-    features: SparseFeatures
+    features: TiledFeatures
     weights: torch.Tensor
     total: float
-    hinges: HashedHinges
+    factor: LatticeFactor
 
     @classmethod
     def of(
         cls, X: np.ndarray, weights: np.ndarray, noise: np.ndarray, hinges: HashedHinges
     ) -> WeighedFeatures:
         """Of data X (n, 3) with weights (n,), then noise (m, 3), each of weight 1."""
-        every = np.concatenate([X, noise])
-        order = order_of(every, hinges)
-        ends, columns, values, strongest = features_at(every[order], hinges)
-        rows = SparseRows(*(torch.from_numpy(part) for part in (ends[:-1], columns, values)))
-        weight = np.append(weights, np.ones(len(noise)))[order]
+        found = features_in_tiles(np.concatenate([X, noise]), hinges)
+        weight = np.append(weights, np.ones(len(noise)))[found.order]
         # Noise out of reach is "uncertain" in any case, and would drive the outermost weights up.
-        weight[strongest <= REACHED] = 0
-        found = SparseFeatures(
-            torch.from_numpy(order), torch.from_numpy(strongest), rows, int(hinges.first[-1])
-        )
+        weight[found.strongest <= REACHED] = 0
         total = float(weight.sum())
-        return cls(found, torch.from_numpy((weight / total).astype(np.float32)), total, hinges)
+        share = torch.from_numpy((weight / total).astype(np.float32))
+        return cls(found, share, total, LatticeFactor.of(hinges))
 
     @property
     def count(self) -> int:
@@ -56,41 +50,26 @@ class WeighedFeatures:
         return len(self.weights)
 
     def fit(
-        self, target: np.ndarray, offset: np.ndarray, l2: float, config: FitConfig
+        self,
+        target: np.ndarray,
+        offset: np.ndarray,
+        l2: float,
+        config: FitConfig,
+        start: np.ndarray | None = None,
     ) -> tuple[np.ndarray, FitReport]:
         """Weights (H, C) that explain targets (N, C), shares of the classes, in the caller's order.
 
-        l2: penalty beside the sum over the samples as they were weighed, so that parts and wholes agree.
+        l2: penalty beside the sum over the samples as they were weighed, so that parts and wholes agree;
+        start: (H, C) where the fit begins, 0 by default.
         """
         W, report = fit_softmax(
             self.features,
-            torch.from_numpy(target)[self.features.order],
+            torch.from_numpy(target[self.features.order]),
             self.weights,
             torch.from_numpy(offset),
-            lambda diagonal: _factor(diagonal, self.hinges),
+            self.factor.scaled,
             l2 / self.total,
             config,
+            None if start is None else torch.from_numpy(start),
         )
         return W.numpy(), report
-
-    def times(self, W: np.ndarray) -> torch.Tensor:
-        """Features times W (H, C): (N, C), in the caller's order."""
-        out = torch.empty(self.count, W.shape[1])
-        out[self.features.order] = self.features.times(torch.from_numpy(W))
-        return out
-
-
-def _factor(diagonal: torch.Tensor, hinges: HashedHinges) -> SparseFactor:
-    """Coordinates in which the kernels of each shape look independent; shapes are not coupled."""
-    columns, values = [], []
-    for start, stop in pairwise(hinges.first.tolist()):
-        nodes = (hinges.nodes[start:stop] - hinges.nodes[start:stop].min(0)).astype(np.float32)
-        width = np.full(len(nodes), hinges.width, np.float32)
-        lower = sparse_factor(diagonal[start:stop], nodes, width).lower
-        columns.append(lower.columns + start)
-        values.append(lower.values)
-    column = torch.cat(columns)
-    each = len(column) // len(diagonal)
-    offsets = torch.arange(0, len(column), each, dtype=torch.int32)
-    whole = SparseRows(offsets, column, torch.cat(values))
-    return SparseFactor(whole, whole.transposed(len(diagonal)))
