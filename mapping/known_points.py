@@ -1,4 +1,4 @@
-"""Which points are among others, to the bit: what was worked out for those is known. Knows arrays only."""
+"""Which points are among others, to the bit, or in one cell with another. Knows arrays only."""
 
 from __future__ import annotations
 
@@ -12,6 +12,11 @@ _MIX = np.int64(0x2545F4914F6CDD1D)
 def among(points: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Where points (N, 3) float32 stand among known ones (M, 3) float32: (N,) int64, -1 if nowhere."""
     return np.asarray(_among(_words(points), _words(known)))
+
+
+def first_in_cells(points: np.ndarray, size: float) -> np.ndarray:
+    """Indices (M,) of the first of points (N, 3) in each cell, between multiples of `size`."""
+    return np.asarray(_first_in_cells(np.ascontiguousarray(points), size))
 
 
 def _words(points: np.ndarray) -> np.ndarray:
@@ -34,16 +39,39 @@ def _among(asked: np.ndarray, known: np.ndarray) -> np.ndarray:
     for i in range(len(asked)):
         slot = _slot(asked, i) & mask
         while table[slot] >= 0:
-            other = table[slot]
-            if (
-                known[other, 0] == asked[i, 0]
-                and known[other, 1] == asked[i, 1]
-                and known[other, 2] == asked[i, 2]
-            ):
-                found[i] = other
+            if _same(asked, i, known, table[slot]):
+                found[i] = table[slot]
                 break
             slot = (slot + 1) & mask
     return found
+
+
+@compiled
+def _first_in_cells(points: np.ndarray, size: float) -> np.ndarray:
+    cells = np.empty(points.shape, np.int32)
+    for i in range(len(points)):
+        for axis in range(3):
+            cells[i, axis] = np.int32(np.floor(points[i, axis] / size))
+    bits = 4
+    while 1 << bits < 2 * len(cells):
+        bits += 1
+    mask = (1 << bits) - 1
+    table = np.full(1 << bits, -1, np.int32)
+    first, count = np.empty(len(cells), np.int64), 0
+    for i in range(len(cells)):
+        slot = _slot(cells, i) & mask
+        while table[slot] >= 0 and not _same(cells, i, cells, table[slot]):
+            slot = (slot + 1) & mask
+        if table[slot] < 0:
+            table[slot] = i
+            first[count] = i
+            count += 1
+    return first[:count].copy()
+
+
+@compiled
+def _same(words: np.ndarray, i: int, others: np.ndarray, j: int) -> bool:
+    return words[i, 0] == others[j, 0] and words[i, 1] == others[j, 1] and words[i, 2] == others[j, 2]
 
 
 @compiled

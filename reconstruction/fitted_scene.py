@@ -15,6 +15,7 @@ import trimesh
 
 from mapping.contramap import ContraMap
 from mapping.errors import ConfigError
+from mapping.known_points import first_in_cells
 from mapping.threads import map_in_threads
 from perception.carried import beds
 from perception.frame import Frame
@@ -142,6 +143,8 @@ class FittedScene:
 
         def extract(index: int) -> tuple[trimesh.Trimesh, np.ndarray] | None:
             points = objects[index].points
+            if isinstance(self.seen, JointSurface):  # a surface seen several times is asked once
+                points = points[first_in_cells(points, self.seen.thinnest)]
             return extract_mesh(self.field, index, self.config.mesh, points, self.seen)
 
         # The largest first: no thread is to start with one when the others have ended.

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mapping.known_points import among
+from mapping.known_points import among, first_in_cells
 from mapping.near_points import near_any
 from mapping.steady_samples import steady_chance, steady_jitter, steady_lattice, steady_subsample
 from reconstruction.prior.remembered import remembered
@@ -74,6 +74,14 @@ def test_known_points_are_found_to_the_bit() -> None:
     asked = np.concatenate([known[[5, 900]], np.nextafter(known[:1], np.float32(9)), known[:1]])
     np.testing.assert_array_equal(among(asked, known), [5, 900, -1, 0])
     assert (among(asked, known[:0]) == -1).all()
+
+
+def test_one_point_a_cell_stays() -> None:
+    points = RNG.uniform(-0.1, 0.1, (5000, 3)).astype(np.float32)
+    kept = first_in_cells(points, 0.02)
+    cells, first = np.unique(np.floor(points / 0.02), axis=0, return_index=True)
+    np.testing.assert_array_equal(kept, np.sort(first))
+    assert 500 < len(cells) < 1200
 
 
 def test_near_points_are_those_of_a_tree() -> None:

@@ -61,10 +61,7 @@ class JointSurface:
     def edges(self, index: int) -> JointEdges:
         """The edges of one object's images."""
         edges = tuple(seen.edges(own[index]) for seen, own in zip(self.views, self.own))
-        depths = [
-            float(np.median(seen.depth[seen.owner == own[index]])) if own[index] != UNSEEN else np.inf
-            for seen, own in zip(self.views, self.own)
-        ]
+        depths = [view.usual_depth for view in edges]
         nearest = np.min(depths)
         spread = max(
             max(NOISES * seen.noise * depth**2, OUTLINE * nearest / float(seen.camera.K[0, 0]))
@@ -92,27 +89,37 @@ class JointEdges:
     def read(self, points: np.ndarray) -> Reading:
         """What all depth images say of points (N, 3) float32 [m]."""
         points = np.ascontiguousarray(points, np.float32)
-        return self.together(points, [edges.read(points) for edges in self.views])
+        readings = np.empty((len(self.views), 3, len(points)), np.float32)
+        for edges, own in zip(self.views, readings):
+            edges.read_into(points, own)
+        return self.together(points, readings)
 
-    def together(self, points: np.ndarray, readings: Sequence[Reading]) -> Reading:
-        """What readings of points (N, 3) float32 [m], one a view, come to."""
-        distances, depths, others = (np.stack(parts) for parts in zip(*readings))
+    def together(self, points: np.ndarray, readings: np.ndarray) -> Reading:
+        """What readings (V, 3, N) of points (N, 3) float32 [m] come to: of each view a Reading's arrays."""
         weights = np.array(self.weights, np.float32)
-        distance, depth, of_others, nearest = _joined(distances, depths, others, weights, self.spread)
+        distance, depth, of_others, nearest = _joined(readings, weights, self.spread)
         if self.thinnest > 0:
-            self._thicken(distance, points, nearest)
+            self._thicken(distance, depth, points, nearest)
         np.minimum(distance, self.above_floor(points[:, 2]), out=distance)
         return Reading(distance, depth, of_others)
 
-    def _thicken(self, distance: np.ndarray, points: np.ndarray, nearest: np.ndarray) -> None:
+    def _thicken(
+        self, distance: np.ndarray, depth: np.ndarray, points: np.ndarray, nearest: np.ndarray
+    ) -> None:
         """Move points (N, 3) that are before what one view sees, and behind its other side that another view
         sees, into it where it is thinner than `thinnest`: between lattice nodes it would be lace. nearest:
         (N,) the view whose distance is least."""
-        between = np.flatnonzero((distance < 0) & (distance > -self.thinnest))
+        # Where no view sees the object right before the point, it is as thick as that or more.
+        thin = (distance < 0) & (distance > -self.thinnest) & (depth < np.float32(self.thinnest) - distance)
+        between = np.flatnonzero(thin)
         if not len(between):
             return
-        normals, behind = zip(*(edges.facing(points[between]) for edges in self.views))
-        front = np.stack(normals), np.stack(behind), nearest[between]
+        normals = np.empty((len(self.views), len(between), 3), np.float32)
+        behind = np.empty(normals.shape[:2], np.float32)
+        points = points[between]
+        for view, edges in enumerate(self.views):
+            normals[view], behind[view] = edges.facing(points)
+        front = normals, behind, nearest[between]
         distance[between] = _thickened(distance[between], *front, np.float32(self.thinnest))
 
     def behind(self, points: np.ndarray, distance: float) -> np.ndarray:
@@ -128,10 +135,11 @@ class JointEdges:
 
 @compiled
 def _joined(
-    distances: np.ndarray, depths: np.ndarray, others: np.ndarray, weights: np.ndarray, spread: float
+    readings: np.ndarray, weights: np.ndarray, spread: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of readings (V, N): the mean (N,) of distances within `spread` of the least one; the least depth; how
-    far below others, FAR where no view sees any; and the view of the least distance."""
+    """Of readings (V, 3, N): the mean (N,) of distances within `spread` of the least; the least depth; the
+    least one below others, FAR where no view sees any; and the view of the least distance."""
+    distances, depths, others = readings[:, 0], readings[:, 1], readings[:, 2]
     views, count = distances.shape
     distance, depth = np.empty(count, np.float32), np.empty(count, np.float32)
     of_others, nearest = np.empty(count, np.float32), np.empty(count, np.int64)

@@ -22,6 +22,7 @@ from reconstruction.surface.reading import (
     Outline,
     Reading,
     faced,
+    read_into,
     read_points,
 )
 from reconstruction.surface.smooth_depth import surface_planes
@@ -153,12 +154,24 @@ class Edges:
         points = np.ascontiguousarray(points, np.float32)
         return Reading(*read_points(points, self.seen.image, self.outline))
 
+    def read_into(self, points: np.ndarray, reading: np.ndarray) -> None:
+        """Fill (3, N) float32 with the arrays of the Reading of points (N, 3) float32 in one piece [m]."""
+        read_into(points, self.seen.image, self.outline, *reading)
+
     @cached_property
     def outline(self) -> Outline:
         """The same as points see it."""
         floor = -np.inf if self.seen.floors is None else self.seen.floors[self.index]
         places = self.top, self.left, self.nearest, self.pixels, self.planes
         return Outline(self.index, np.float32(floor), *places)
+
+    @cached_property
+    def usual_depth(self) -> float:
+        """The median depth of what is seen of the object [m], infinite where it is not seen."""
+        if self.index < 0:
+            return np.inf
+        part = self.seen.boxes[self.index]
+        return float(np.median(self.seen.depth[part][self.seen.owner[part] == self.index]))
 
     def facing(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of what the object shows on the ray through each point: the normal (N, 3) away from the camera, 0

@@ -35,6 +35,7 @@ MOST_HIDDEN, MOST_OF_ROUND = 60_000, 150_000
 saw. Bodies of revolution have none, and keep theirs only because of the time that so many nodes take."""
 FEW = 16
 """One node in so many tells whether there are more than that."""
+_GRAZED, _FAR = np.float32(GRAZED), np.float32(FAR)
 
 
 def with_unseen_walls(
@@ -104,24 +105,52 @@ def _unpassed(points: np.ndarray, edges: Edges | JointEdges, seen: np.ndarray) -
     reach = np.full(len(points), np.nan, np.float32)
     left = np.flatnonzero(edges.above_floor(points[:, 2]) >= -GRAZED)
     points = points[left]
-    readings: list[Reading] = []
-    for view in edges.views:
-        reading = view.read(points)
-        stay = np.flatnonzero(~_passed(points, view, reading, seen))
-        readings = [Reading(*(part[stay] for part in one)) for one in (*readings, reading)]
-        points, left = points[stay], left[stay]
+    readings = np.empty((len(edges.views), 3, len(points)), np.float32)
+    for number, view in enumerate(edges.views):
+        view.read_into(points, readings[number, :, : len(points)])
+        count = _keep_unpassed(points, left, readings[: number + 1], *_eye_of(view, seen))
+        points, left = points[:count], left[:count]
+    readings = np.ascontiguousarray(readings[:, :, : len(points)])
     reach[left] = np.float32(PER_METRE) * edges.together(points, readings).distance
     return reach
 
 
-def _passed(points: np.ndarray, edges: Edges, reading: Reading, seen: np.ndarray) -> np.ndarray:
-    """Whether rays of one image are known to have passed points (N, 3) [m], or the object on their way."""
+def _eye_of(edges: Edges, seen: np.ndarray) -> tuple[np.ndarray, np.float32]:
+    """Where a camera is (3,) [m], and how near to it the nearest of seen points (N, 3) is."""
     T = edges.seen.T_camera_table
     eye = (-T[:3, :3].T @ T[:3, 3]).astype(np.float32)
+    return eye, np.sqrt(squared_distance(seen, eye).min())
+
+
+def _passed(points: np.ndarray, edges: Edges, reading: Reading, seen: np.ndarray) -> np.ndarray:
+    """Whether rays of one image are known to have passed points (N, 3) [m], or the object on their way."""
+    eye, nearest = _eye_of(edges, seen)
     # What is seen before the object hides it; what is seen behind it ends rays that passed it.
-    nearest = np.sqrt(squared_distance(seen, eye).min())
     met = np.sqrt(squared_distance(points, eye)) - reading.others
     return (reading.distance < -GRAZED) | (reading.others < FAR) & (met > nearest)
+
+
+@compiled
+def _keep_unpassed(
+    points: np.ndarray, left: np.ndarray, readings: np.ndarray, eye: np.ndarray, nearest: float
+) -> int:
+    """How many of points (N, 3), with their numbers (N,) and readings (V, 3, >= N), the last of these views
+    has not passed, as `_passed`; these are moved to the front."""
+    count, last = 0, len(readings) - 1
+    for n in range(len(points)):
+        distance, others = readings[last, 0, n], readings[last, 2, n]
+        if distance < -_GRAZED:
+            continue
+        if others < _FAR:
+            x, y, z = points[n, 0] - eye[0], points[n, 1] - eye[1], points[n, 2] - eye[2]
+            if np.sqrt(x * x + y * y + z * z) - others > nearest:
+                continue
+        left[count], points[count] = left[n], points[n]
+        for view in range(last + 1):
+            for part in range(3):
+                readings[view, part, count] = readings[view, part, n]
+        count += 1
+    return count
 
 
 @compiled
