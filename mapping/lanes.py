@@ -25,6 +25,10 @@ _LN2 = 0.693359375, -2.12194440e-4
 """ln 2 in two parts, of which the first times a small whole number is exact (Cody and Waite 1980)."""
 _EXP = 1 / 5040, 1 / 720, 1 / 120, 1 / 24, 1 / 6, 0.5, 1.0, 1.0
 """exp on [-ln 2 / 2, ln 2 / 2], highest power first: right to 1e-7 of its value, single precision's limit."""
+_HALF_ROOT = 0x3F3504F3
+"""Bits of the square root of 1/2."""
+_ARTANH = 2 / 11, 2 / 9, 2 / 7, 2 / 5, 2 / 3, 2.0
+"""2 artanh(r) / r by powers of r^2, highest first, right to 1e-8 for r up to 0.172."""
 _LEAST = -87.0
 """exp below this is not a normal number; it is given as if it were this, 1e-38."""
 
@@ -172,6 +176,30 @@ def exponential(context: Any, a: Any) -> Any:
         bits = builder.add(builder.fptosi(power, _WHOLE), ir.Constant(_WHOLE, [127] * LANES))
         scale = builder.bitcast(builder.shl(bits, ir.Constant(_WHOLE, [23] * LANES)), _VECTOR)
         return builder.fmul(value, scale)
+
+    return _vector(_vector), generate
+
+
+@intrinsic
+def logarithm(context: Any, a: Any) -> Any:
+    """ln(a) for a more than 1e-38."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        bits = builder.bitcast(args[0], _WHOLE)
+        # Mantissas from sqrt(1/2) to sqrt(2): where they begin is taken off before the exponent is read.
+        from_half = builder.sub(bits, ir.Constant(_WHOLE, [_HALF_ROOT] * LANES))
+        power = builder.ashr(from_half, ir.Constant(_WHOLE, [23] * LANES))
+        whole = builder.shl(power, ir.Constant(_WHOLE, [23] * LANES))
+        mantissa = builder.bitcast(builder.sub(bits, whole), _VECTOR)
+        # ln m = 2 artanh((m - 1) / (m + 1))
+        one = _constant(1.0)
+        ratio = builder.fdiv(builder.fsub(mantissa, one), builder.fadd(mantissa, one))
+        square = builder.fmul(ratio, ratio)
+        value = _constant(_ARTANH[0])
+        for coefficient in _ARTANH[1:]:
+            value = _fused(builder, value, square, _constant(coefficient))
+        value = builder.fmul(value, ratio)
+        return _fused(builder, builder.sitofp(power, _VECTOR), _constant(sum(_LN2)), value)
 
     return _vector(_vector), generate
 

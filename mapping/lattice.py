@@ -5,7 +5,7 @@ Knows hinge points, widths and weights; knows nothing of classes' meaning or of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,8 @@ import torch
 
 from mapping.errors import DataError
 from mapping.kernels import reach
+from mapping.lattice_kernels import Columns, add_kernels, padded
+from mapping.lattice_products import Axes, Factors, HingeLattice, Window, kernel_table
 from mapping.threads import Threads
 
 CUTOFF = 1e-5
@@ -26,12 +28,8 @@ range, where arithmetic is a hundred times slower."""
 LARGEST_FILL = 256
 """Scattered hinge points are not put on a lattice that has more than this many cells a hinge point."""
 
-Axes = Sequence[np.ndarray]
-Window = tuple[slice, ...]
-Block = Callable[[Window, torch.Tensor | None], torch.Tensor | None]
-"""What one group of hinge points adds to the logits (C, *window) of some classes; None: nothing."""
-Factors = Callable[[Window, torch.Tensor | None], tuple[torch.Tensor, torch.Tensor] | None]
-"""The same as a product yet to be taken: (n_1, m) times (C, m, n_2 n_3 ..)."""
+Block = Callable[[Window], torch.Tensor | None]
+"""What one group of hinge points anywhere adds to the logits (C, *window); None: nothing."""
 
 
 class LatticeEvaluator:
@@ -43,7 +41,7 @@ class LatticeEvaluator:
     def __init__(self, hinges: np.ndarray, gamma: np.ndarray, W: torch.Tensor, offset: torch.Tensor):
         self.offset = offset
         self.dimensions = hinges.shape[1]
-        self.groups: list[_HingeLattice | _ScatteredHinges] = []
+        self.groups: list[Columns | HingeLattice | _ScatteredHinges] = []
         for width in np.unique(gamma):
             rows = np.flatnonzero(gamma == width)
             weights = W[torch.from_numpy(rows).to(W.device)]
@@ -92,89 +90,77 @@ class LatticeEvaluator:
         if not all(rises(axis) for axis in axes):
             raise DataError("the coordinates of a lattice's axes must rise")
         return MapOnLattice(
+            axes,
             self.offset,
-            [group.on(axes) for group in self.groups if isinstance(group, _HingeLattice)],
+            [group for group in self.groups if isinstance(group, Columns)],
+            [group.on(axes) for group in self.groups if isinstance(group, HingeLattice)],
             [group.on(axes) for group in self.groups if isinstance(group, _ScatteredHinges)],
         )
 
 
 @dataclass(frozen=True)
 class MapOnLattice:
-    """A map and one lattice: what blocks of it share is worked out once."""
+    """A map and one lattice: what blocks of it share is worked out once.
 
+    columns: groups of hinge points on lattices, on a processor; lattices: the same elsewhere; scattered:
+    groups anywhere.
+    """
+
+    axes: list[np.ndarray]
     offset: torch.Tensor
+    columns: list[Columns]
     lattices: list[Factors]
     scattered: list[Block]
 
-    def block(self, window: Window, classes: torch.Tensor | None = None) -> torch.Tensor:
+    def block(self, window: Window, classes: np.ndarray | None = None) -> torch.Tensor:
         """Logits (C, *window) on a part of the lattice, of all classes or some of them."""
-        offset = self.offset if classes is None else self.offset[classes]
-        shape = len(offset), *(part.stop - part.start for part in window)
-        factors = [found for lattice in self.lattices if (found := lattice(window, classes)) is not None]
-        if factors:
-            # One product for all groups: the logits are written once.
-            tables, lefts = zip(*factors)
-            table = torch.cat(tables, 1).expand(len(offset), -1, -1)
-            out = torch.baddbmm(offset.view(-1, 1, 1), table, torch.cat(lefts, 1)).view(shape)
-        else:
-            out = offset.view(-1, *[1] * len(window)).repeat(1, *shape[1:])
+        chosen = np.arange(len(self.offset)) if classes is None else np.asarray(classes)
+        shape = tuple(part.stop - part.start for part in window)
+        out = self._of_products(window, chosen, shape)
+        if out is None:
+            lines = torch.from_numpy(self._of_columns(window, chosen))[..., : shape[-1]]
+            out = lines.movedim(2, 0).reshape(len(chosen), *shape)
         for group in self.scattered:
-            part = group(window, classes)
+            part = group(window)
             if part is not None:
-                out += part
+                out += part[torch.from_numpy(chosen).to(part.device)]
         return out
 
+    def lines(self, window: Window, classes: np.ndarray) -> np.ndarray:
+        """The same of a lattice in space as rows of vectors: (nx, ny, C, nz rounded up to whole vectors)
+        float32, of which those past the window mean nothing."""
+        if self.columns and not self.scattered:
+            return self._of_columns(window, classes)
+        logits = self.block(window, classes).movedim(0, 2).cpu().numpy()
+        out = np.zeros((*logits.shape[:3], padded(logits.shape[3])), np.float32)
+        out[..., : logits.shape[3]] = logits
+        return out
 
-@dataclass(frozen=True)
-class _HingeLattice:
-    """Hinge points of one width on a lattice of their own: contracted axis by axis, 50 times less arithmetic.
+    def _of_columns(self, window: Window, classes: np.ndarray) -> np.ndarray:
+        """Logits (nx, ny, C, nz rounded up) from compiled loops; with fewer dimensions there is one x, y."""
+        along = [axis[part].astype(np.float64) for axis, part in zip(self.axes, window)]
+        x, y, z = [np.zeros(1)] * (3 - len(window)) + along
+        out = np.empty((len(x), len(y), len(classes), padded(len(z))), np.float32)
+        out[:] = self.offset.numpy()[classes, None]
+        for group in self.columns:
+            add_kernels(group, x, y, z, classes, out, float(reach(group.gamma, CUTOFF)), NEGLIGIBLE)
+        return out
 
-    places: coordinates along each axis, sorted; weights: (C, m_1, .., m_d), zero where no hinge point is;
-    held: (m_1, .., m_d) bool, where one is.
-    """
-
-    places: list[np.ndarray]
-    gamma: float
-    weights: torch.Tensor
-    held: np.ndarray
-
-    def on(self, axes: Axes) -> Factors:
-        """This group's part of any block of a lattice."""
-        radius = float(reach(self.gamma, CUTOFF))
-        known: dict[tuple[int, int, int], tuple[int, torch.Tensor]] = {}
-
-        def along(i: int, part: slice) -> tuple[int, torch.Tensor]:
-            """First hinge place in reach of some nodes of axis i, and the kernel values (n, m) from there."""
-            key = i, part.start, part.stop
-            if key not in known:
-                nodes, places = axes[i][part], self.places[i]
-                first, last = np.searchsorted(places, [nodes[0] - radius, nodes[-1] + radius])
-                table = kernel_table(nodes, places[first:last], self.gamma).to(self.weights)
-                known[key] = int(first), table
-            return known[key]
-
-        def block(window: Window, classes: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor] | None:
-            near = [along(i, part) for i, part in enumerate(window)]
-            # Most of the lattice holds no hinge point: only the box around those in reach is contracted.
-            box = _box_of(self.held[tuple(slice(first, first + table.shape[1]) for first, table in near)])
-            if box is None:
-                return None
-            tensor, tables = self.weights, []
-            for i, ((first, table), part) in enumerate(zip(near, box)):
-                tensor = tensor.narrow(i + 1, first + part.start, part.stop - part.start)
-                tables.append(table[:, part])
-            if classes is not None:
-                tensor = tensor.index_select(0, classes)
-            count, after = len(tensor), 1
-            if len(tables) > 1:
-                tensor, after = tensor @ tables[-1].T, len(tables[-1])
-            for table in reversed(tables[1:-1]):
-                # What is left of the axes before x this axis x nodes of the axes after it: nothing is copied.
-                left = tensor.reshape(-1, table.shape[1], after)
-                tensor, after = torch.bmm(table.expand(len(left), -1, -1), left), after * len(table)
-            return tables[0], tensor.reshape(count, tables[0].shape[1], after)
-
-        return block
+    def _of_products(
+        self, window: Window, classes: np.ndarray, shape: tuple[int, ...]
+    ) -> torch.Tensor | None:
+        """Logits (C, *window) from torch's products; None where there are none to be taken."""
+        if self.columns or (self.offset.device.type == "cpu" and len(shape) <= 3):
+            return None
+        chosen = torch.from_numpy(classes).to(self.offset.device)
+        offset = self.offset[chosen]
+        factors = [found for lattice in self.lattices if (found := lattice(window, chosen)) is not None]
+        if not factors:
+            return offset.view(-1, *[1] * len(window)).repeat(1, *shape)
+        # One product for all groups: the logits are written once.
+        tables, lefts = zip(*factors)
+        table = torch.cat(tables, 1).expand(len(offset), -1, -1)
+        return torch.baddbmm(offset.view(-1, 1, 1), table, torch.cat(lefts, 1)).view(len(offset), *shape)
 
 
 @dataclass(frozen=True)
@@ -185,23 +171,22 @@ class _ScatteredHinges:
     gamma: float
     weights: torch.Tensor
 
-    def on(self, axes: Axes) -> Block:
+    def on(self, axes: list[np.ndarray]) -> Block:
         """This group's part of any block of a lattice."""
 
-        def block(window: Window, classes: torch.Tensor | None) -> torch.Tensor | None:
-            part = self._evaluate([axis[w] for axis, w in zip(axes, window)])
-            return part if part is None or classes is None else part[classes]
+        return lambda window: self._evaluate([axis[w] for axis, w in zip(axes, window)])
 
-        return block
-
-    def _evaluate(self, axes: Axes) -> torch.Tensor | None:
+    def _evaluate(self, axes: list[np.ndarray]) -> torch.Tensor | None:
         low, high = np.array([a[0] for a in axes]), np.array([a[-1] for a in axes])
         gap = np.maximum(np.maximum(low - self.hinges, self.hinges - high), 0)
         near = np.flatnonzero((gap**2).sum(1) < reach(self.gamma, CUTOFF) ** 2)
         if len(near) == 0:
             return None
         weights = self.weights[torch.from_numpy(near).to(self.weights.device)]
-        tables = [kernel_table(a, self.hinges[near, i], self.gamma).to(weights) for i, a in enumerate(axes)]
+        tables = [
+            kernel_table(a, self.hinges[near, i], self.gamma, NEGLIGIBLE).to(weights)
+            for i, a in enumerate(axes)
+        ]
         # All axes but the last against the last one: a single matrix product.
         left = tables[0]
         for table in tables[1:-1]:
@@ -209,13 +194,6 @@ class _ScatteredHinges:
         right = (weights.T[:, :, None] * tables[-1].T).movedim(0, 1)  # (h, C, n_last)
         block = left @ right.reshape(len(near), -1)
         return block.reshape(*(len(a) for a in axes[:-1]), -1, len(axes[-1])).movedim(-2, 0)
-
-
-def _box_of(held: np.ndarray) -> Window | None:
-    """The smallest window of a lattice that has all places (m_1, .., m_d) that hold something."""
-    axes = range(held.ndim)
-    along = [np.flatnonzero(held.any(tuple(j for j in axes if j != i))) for i in axes]
-    return tuple(slice(n[0], n[-1] + 1) for n in along) if len(along[0]) else None
 
 
 def rises(axis: np.ndarray) -> bool:
@@ -238,23 +216,16 @@ def _checked(axes: Axes, dimensions: int) -> list[np.ndarray]:
     return arrays
 
 
-def _group(hinges: np.ndarray, gamma: float, weights: torch.Tensor) -> _HingeLattice | _ScatteredHinges:
+def _group(
+    hinges: np.ndarray, gamma: float, weights: torch.Tensor
+) -> Columns | HingeLattice | _ScatteredHinges:
     found = [np.unique(hinges[:, i], return_inverse=True) for i in range(hinges.shape[1])]
     places = [values for values, _ in found]
     size = [len(values) for values in places]
     if np.prod(size, dtype=float) > LARGEST_FILL * len(hinges):
         return _ScatteredHinges(hinges, gamma, weights)
     cell = np.ravel_multi_index([index.reshape(-1) for _, index in found], size)
-    tensor = weights.new_zeros(weights.shape[1], int(np.prod(size)))
-    # Hinge points given twice add up.
-    tensor.index_add_(1, torch.from_numpy(cell).to(weights.device), weights.T.contiguous())
-    held = np.zeros(size, bool)
-    held.reshape(-1)[cell] = True
-    return _HingeLattice(places, gamma, tensor.reshape(-1, *size), held)
-
-
-def kernel_table(nodes: np.ndarray, places: np.ndarray, gamma: float) -> torch.Tensor:
-    """(n, m) kernel values along one axis."""
-    values = np.exp(-gamma * (nodes[:, None] - places) ** 2).astype(np.float32)
-    values[values < NEGLIGIBLE] = 0
-    return torch.from_numpy(values)
+    if len(size) <= 3 and weights.device.type == "cpu":
+        return Columns.of(places, cell, weights.numpy(), gamma)
+    radius = float(reach(gamma, CUTOFF))
+    return HingeLattice.of(places, cell, weights, gamma, radius=radius, negligible=NEGLIGIBLE)

@@ -53,7 +53,6 @@ def test_heavy_packages_are_imported_within_functions():
 
 
 ALLOWED = [
-    "reconstruction.surface.field: torch",
     "tools.prior_fit: torch",
     "tools.prior_scores: torch",
     "tools.train_prior: torch",

@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mapping.hinges import lattice_in_box, lattice_near_centres, lattice_near_points, random_subset
-from mapping.lattice import kernel_table
+from mapping.lattice import NEGLIGIBLE
+from mapping.lattice_products import kernel_table
 from mapping.preconditioner import NEIGHBOURS, sparse_factor
 from mapping.samples import (
     along_rays,
@@ -194,7 +195,7 @@ def test_the_factor_improves_the_condition_number():
 def test_products_of_kernel_values_stay_in_the_normal_range_of_float32():
     # Arithmetic on subnormal numbers made lattices three times as slow.
     nodes = np.linspace(-0.2, 0.2, 65)
-    table = kernel_table(nodes, nodes, 8000.0)
+    table = kernel_table(nodes, nodes, 8000.0, NEGLIGIBLE)
     assert table[table > 0].min() ** 3 > torch.finfo(torch.float32).tiny
     assert table.max() == 1
 

@@ -9,7 +9,7 @@ from scipy import sparse
 
 from mapping.compact_order import compact_order
 from mapping.compiled import compiled
-from mapping.lanes import LANES, every, exponential, load, store
+from mapping.lanes import LANES, every, exponential, load, logarithm, store
 from mapping.objectives import objective_of
 from mapping.sparse_features import sparse_features
 from mapping.threads import Threads
@@ -135,7 +135,7 @@ def test_both_objectives_agree() -> None:
     torch.testing.assert_close(curvature, other_curvature, atol=1e-6, rtol=1e-4)
 
 
-def test_exponentials_are_right_to_single_precision() -> None:
+def test_exponentials_and_logarithms_are_right_to_single_precision() -> None:
     @compiled
     def exponentials(a: np.ndarray) -> np.ndarray:
         out = np.empty_like(a)
@@ -148,7 +148,18 @@ def test_exponentials_are_right_to_single_precision() -> None:
         store(a, 0, every(np.float32(3)))
         return a
 
+    @compiled
+    def logarithms(a: np.ndarray) -> np.ndarray:
+        out = np.empty_like(a)
+        for k in range(0, len(a), LANES):
+            store(out, k, logarithm(load(a, k)))
+        return out
+
     a = np.linspace(-86.9, 88, 8000, dtype=np.float32)
-    assert np.abs(exponentials(a) / np.exp(a.astype(np.float64)) - 1).max() < 3e-7
+    exact = np.exp(a.astype(np.float64))
+    assert np.abs(exponentials(a) / exact - 1).max() < 3e-7
+    assert np.abs(logarithms(exact.astype(np.float32)) - np.log(exact.astype(np.float32))).max() < 1e-5
+    near_one = np.linspace(0.5, 2, 8000, dtype=np.float32)
+    assert np.abs(logarithms(near_one) - np.log(near_one.astype(np.float64))).max() < 2e-7
     assert (exponentials(np.full(8, -np.inf, np.float32)) < 1e-37).all()
     assert (constant(np.zeros(8, np.float32)) == 3).all()

@@ -104,7 +104,7 @@ def test_points_outside_the_lattice_are_no_error():
 
 def test_windows_hold_all_that_the_map_gives_an_object(result):
     from reconstruction.fitted_scene import object_space
-    from reconstruction.surface.field import evaluate_field
+    from reconstruction.surface.field import OUTSIDE, evaluate_field
 
     spacing = 0.005
     lows, highs = object_space(result.observation, 0.1)
@@ -122,4 +122,7 @@ def test_windows_hold_all_that_the_map_gives_an_object(result):
         p = structure[(*window, index + 1)]
         sure = (field.log_odds[index] > 0) != (p > 0.5)
         assert np.abs(p[sure] - 0.5).max(initial=0) < 0.02  # others' small parts are left out of a block
-        np.testing.assert_allclose(field.uncertainty[window], probability[(*window, -1)], atol=0.02)
+        looked_at = field.log_odds[index] > OUTSIDE
+        assert looked_at[p > 0.05].all()
+        uncertain = probability[(*window, -1)][looked_at]
+        np.testing.assert_allclose(field.uncertainty[window][looked_at], uncertain, atol=0.02)

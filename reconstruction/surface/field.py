@@ -9,15 +9,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from scipy import ndimage
 
 from mapping.compiled import compiled
 from mapping.contramap import ContraMap
+from mapping.lanes import LANES, every, exponential, larger, load, logarithm, minus, over, plus, store
 from mapping.threads import map_in_threads
 
-BLOCK = 40
-"""Nodes a side of the blocks that are evaluated at a time, as far as objects' windows reach into them."""
+BLOCK = 24
+"""Nodes a side of the blocks that are evaluated at a time, as far as objects can reach into them: a multiple
+of COARSE, and of the numbers in a vector."""
 COARSE = 4
 """The first pass looks at every 4th node."""
 SKIP_LOG_ODDS = -4.0
@@ -38,8 +39,8 @@ class Field:
     """Log odds and uncertainty on the lattice origin + spacing * (i, j, k), in the map's frame.
 
     windows: the part of the lattice around each of K objects; log_odds: on each window, float32, of object k
-    against the rest among the non-uncertain classes;
-    uncertainty: (nx, ny, nz) float32 p(uncertain), 1 outside all windows.
+    against the rest among the non-uncertain classes, OUTSIDE where the map rules the object out;
+    uncertainty: (nx, ny, nz) float32 p(uncertain), 1 where no object can be.
     """
 
     origin: np.ndarray
@@ -146,49 +147,79 @@ def evaluate_field(
     axes = [origin[i] + spacing * np.arange(count[i] * BLOCK) for i in range(3)]
     evaluator = model.lattice()
     coarse = evaluator([axis[::COARSE] for axis in axes])
+    likely = _likely((coarse[own] - coarse[0]).cpu().numpy())
     shape = tuple(int(n) for n in count * BLOCK)
     boxes = [window_of(origin, spacing, shape, *box) for box in zip(lows, highs)]
-    windows = [overlap(*pair) for pair in zip(boxes, _where_likely((coarse[own] - coarse[0]).cpu().numpy()))]
+    windows = [overlap(box, _fine(extent(nodes))) for box, nodes in zip(boxes, likely)]
     log_odds = [np.full([w.stop - w.start for w in window], OUTSIDE, np.float32) for window in windows]
     uncertainty = np.ones(shape, np.float32)
     lattice = evaluator.on(axes)
     # A steep ramp rather than a step: the surface is to end at the floor, not half a cell from it.
     ramps = [FLOOR_SLOPE * (axes[2] - floor).astype(np.float32) for floor in floors or ()]
 
-    def fill(block: tuple[int, ...]) -> None:
-        x, y, z = (slice(b * BLOCK, (b + 1) * BLOCK) for b in block)
-        parts = {k: overlap((x, y, z), window) for k, window in enumerate(windows)}
+    def fill(block: np.ndarray) -> None:
+        x, y, z = (slice(b * BLOCK // COARSE, (b + 1) * BLOCK // COARSE) for b in block.tolist())
+        found = {k: _fine(extent(likely[k, x, y, z]), (x, y, z)) for k in range(len(windows))}
+        parts = {k: overlap(part, windows[k]) for k, part in found.items()}
         parts = {k: part for k, part in parts.items() if all(p.stop > p.start for p in part)}
         if not parts:
             return
         evaluated = around(list(parts.values()))
         present = list(parts) if confined else list(range(len(windows)))
         columns = [0, *(own[k] for k in present), *rivals, last]
-        logits = lattice.block(evaluated, torch.tensor(columns, device=coarse.device))
-        share = logits.sub_(logits.amax(0)).exp_()
-        structure = share[:-1].sum(0)
-        uncertainty[evaluated] = (share[-1] / (structure + share[-1])).cpu().numpy()
-        # P(k) against the rest among the non-uncertain classes; 1e-9 keeps the logarithm finite.
-        mine = share[1 : len(present) + 1]
-        others = (structure - mine).clamp_min_(1e-9)
-        odds = mine.clamp_min_(1e-9).div_(others).log_().cpu().numpy()
-        for k, of_one in zip(present, odds):
+        odds, unsure = _odds(lattice.lines(evaluated, np.array(columns)), len(present))
+        height = evaluated[2].stop - evaluated[2].start
+        uncertainty[evaluated] = unsure[..., :height]
+        for k, of_one in zip(present, odds[..., :height]):
             if k in parts:
                 if ramps:
                     np.minimum(of_one, ramps[k][evaluated[2]], out=of_one)
                 log_odds[k][within(parts[k], windows[k])] = of_one[within(parts[k], evaluated)]
 
-    map_in_threads(fill, np.ndindex(*count))
+    # Blocks that no object can be in are not looked at.
+    of_blocks = likely.any(0).reshape([n for blocks in count for n in (blocks, BLOCK // COARSE)])
+    map_in_threads(fill, np.argwhere(np.any(of_blocks, axis=(1, 3, 5))))
     return Field(origin, spacing, windows, log_odds, uncertainty)
 
 
-def _where_likely(odds: np.ndarray) -> list[Window]:
-    """For each object the nodes where coarse log odds (K, nx, ny, nz) do not rule it out."""
-    likely = ndimage.maximum_filter(odds, size=(1, 3, 3, 3)) > SKIP_LOG_ODDS
-    found: list[Window] = []
-    for of_one in likely:
-        box = ndimage.find_objects(of_one.astype(np.int8))
-        coarse = box[0] if box else (slice(0, 0),) * 3
-        x, y, z = (slice(COARSE * s.start, COARSE * s.stop) for s in coarse)
-        found.append((x, y, z))
-    return found
+@compiled
+def _odds(lines: np.ndarray, present: int) -> tuple[np.ndarray, np.ndarray]:
+    """Log odds (present, nx, ny, nz) of the classes 1..present against the rest among all but the last, and
+    the last one's probability (nx, ny, nz), from logits (nx, ny, C, nz); nz: whole vectors."""
+    nx, ny, classes, nz = lines.shape
+    odds, unsure = np.empty((present, nx, ny, nz), np.float32), np.empty((nx, ny, nz), np.float32)
+    logits, out, shares = lines.reshape(-1), odds.reshape(-1), np.empty(classes * LANES, np.float32)
+    uncertain, nodes = unsure.reshape(-1), nx * ny * nz
+    least = every(np.float32(1e-9))  # keeps the logarithm finite
+    for row in range(nx * ny):
+        for v in range(0, nz, LANES):
+            first = row * classes * nz + v
+            highest = load(logits, first)
+            for c in range(1, classes):
+                highest = larger(highest, load(logits, first + c * nz))
+            structure = every(np.float32(0))
+            for c in range(classes - 1):
+                share = exponential(minus(load(logits, first + c * nz), highest))
+                structure = plus(structure, share)
+                store(shares, c * LANES, share)
+            share = exponential(minus(load(logits, first + (classes - 1) * nz), highest))
+            store(uncertain, row * nz + v, over(share, plus(structure, share)))
+            for k in range(present):
+                mine = load(shares, (k + 1) * LANES)
+                ratio = over(larger(mine, least), larger(minus(structure, mine), least))
+                store(out, k * nodes + row * nz + v, logarithm(ratio))
+    return odds, unsure
+
+
+def _likely(odds: np.ndarray) -> np.ndarray:
+    """Where coarse log odds (K, nx, ny, nz) do not rule each object out (K, nx, ny, nz)."""
+    return np.asarray(ndimage.maximum_filter(odds, size=(1, 3, 3, 3)) > SKIP_LOG_ODDS)
+
+
+def _fine(coarse: Window | None, inside: Window | None = None) -> Window:
+    """The nodes that coarse ones stand for, those of a window counted from another's first; none for None."""
+    if coarse is None:
+        return slice(0, 0), slice(0, 0), slice(0, 0)
+    first = (0, 0, 0) if inside is None else [part.start for part in inside]
+    x, y, z = (slice(COARSE * (f + s.start), COARSE * (f + s.stop)) for s, f in zip(coarse, first))
+    return x, y, z
