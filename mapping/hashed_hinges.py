@@ -20,13 +20,27 @@ SIDE = 1 << BITS
 are none, none of its nodes is."""
 
 
+def _along() -> np.ndarray:
+    """(3, SIDE + 1, SIDE + 1) int64: the bits of a cube's nodes that lie from a to b along an axis."""
+    place = np.stack(np.meshgrid(*[np.arange(SIDE)] * 3, indexing="ij")).reshape(3, -1)
+    bits = np.uint64(1) << np.arange(SIDE**3, dtype=np.uint64)
+    out = np.zeros((3, SIDE + 1, SIDE + 1), np.uint64)
+    for axis, a, b in np.ndindex(*out.shape):
+        out[axis, a, b] = bits[(place[axis] >= a) & (place[axis] < b)].sum()
+    return out.view(np.int64)
+
+
+ALONG = _along()
+
+
 class HashedHinges(NamedTuple):
     """Hinge points at nodes of lattices, T shapes of H points in all.
 
     spacings: (T, 3) distance of the nodes along each axis [m]; nodes: (H, 3) int32, the points' coordinates
     in spacings; first: (T + 1,) where each shape's points begin; amplitude: (T,) float32, factor of each
     shape's features; corners: (L, 3) int32, cubes that hold hinge points, in sides; cubes: (L, SIDE^3) int32,
-    the hinge point at each of a cube's nodes, or -1; table: int32 open-addressed hash tables of the cubes of
+    the hinge point at each of a cube's nodes, or -1; filled: (L,) int64, a bit for each node that has one;
+    table: int32 open-addressed hash tables of the cubes of
     every shape, or -1; table_first: (T + 1,) where each begins, sizes being powers of two; width: float32,
     gamma times the squared spacing; cutoff: float32, features below are dropped.
     """
@@ -37,6 +51,7 @@ class HashedHinges(NamedTuple):
     amplitude: np.ndarray
     corners: np.ndarray
     cubes: np.ndarray
+    filled: np.ndarray
     table: np.ndarray
     table_first: np.ndarray
     width: np.float32
@@ -60,16 +75,16 @@ def hinges_at(
     nodes: Sequence[np.ndarray], spacings: np.ndarray, amplitude: np.ndarray, width: float, cutoff: float
 ) -> HashedHinges:
     """Hinge points at the nodes (n, 3) of each lattice; spacings (T, 3) [m], amplitude (T,)."""
-    sizes = np.array([2 << max(len(part) - 1, 1).bit_length() for part in nodes])
-    table_first = np.append(0, np.cumsum(sizes))
     first = np.append(0, np.cumsum([len(part) for part in nodes]))
     every = np.concatenate(nodes).astype(np.int32)
-    table = np.full(table_first[-1], -1, np.int32)
-    corners, count = np.empty((len(every), 3), np.int32), 0
-    cube_of = np.empty(len(every), np.int32)
+    corners, cube_of = np.empty((len(every), 3), np.int32), np.empty(len(every), np.int32)
+    tables, count = [], 0
     for t in range(len(nodes)):
         own = slice(first[t], first[t + 1])
-        count = _enter(every[own], table[table_first[t] : table_first[t + 1]], corners, cube_of[own], count)
+        before, count = count, _enter(every[own], _table(len(nodes[t])), corners, cube_of[own], count)
+        # Anew in a table for the cubes there are: a small one stays in the processor's cache.
+        tables.append(_table(count - before))
+        _enter(every[own], tables[-1], corners, cube_of[own], before)
     cubes = np.full((count, SIDE**3), -1, np.int32)
     within = every & (SIDE - 1)
     cubes[cube_of, (within[:, 0] * SIDE + within[:, 1]) * SIDE + within[:, 2]] = np.arange(len(every))
@@ -80,11 +95,17 @@ def hinges_at(
         np.asarray(amplitude, np.float32),
         corners[:count].copy(),
         cubes,
-        table,
-        table_first,
+        np.packbits(cubes >= 0, axis=1, bitorder="little").view("<i8")[:, 0].astype(np.int64),
+        np.concatenate(tables),
+        np.append(0, np.cumsum([len(table) for table in tables])),
         np.float32(width),
         np.float32(cutoff),
     )
+
+
+def _table(count: int) -> np.ndarray:
+    """An empty hash table for `count` cubes, at most half full."""
+    return np.full(2 << max(count - 1, 1).bit_length(), -1, np.int32)
 
 
 @compiled

@@ -15,7 +15,7 @@ import numpy as np
 
 from mapping.compact_order import compact_order
 from mapping.compiled import compiled
-from mapping.hashed_hinges import BITS, SIDE, HashedHinges, cube_at
+from mapping.hashed_hinges import ALONG, BITS, SIDE, HashedHinges, cube_at
 from mapping.kernels import cell_numbers
 from mapping.lanes import (
     LANES,
@@ -23,9 +23,12 @@ from mapping.lanes import (
     any_above,
     every,
     exponential,
+    highest,
     larger,
     load,
+    lowest_bit,
     minus,
+    plus_product,
     store,
     times,
 )
@@ -37,6 +40,8 @@ ROWS = 2**13
 """Points that a thread works on at a time: whole tiles."""
 BLOCK = 4.0
 """Points in a cube of this side [m] are worked on together."""
+CELLS = 8
+"""Points are counted in their blocks where there are at most so many blocks a point."""
 SPREAD = 12
 """Points of a tile look for hinge points alone where the box around all that may be in reach holds more than
 so many times the nodes that one of them has in reach, or is so many times as long."""
@@ -51,27 +56,67 @@ def features_in_tiles(X: np.ndarray, hinges: HashedHinges) -> TiledFeatures:
     return TiledFeatures(np.concatenate(orders), np.concatenate(strongest), shares, int(hinges.first[-1]))
 
 
-def logits_at(
-    X: np.ndarray, hinges: HashedHinges, W: np.ndarray, offset: np.ndarray, shares: bool = False
+def logits_at(X: np.ndarray, hinges: HashedHinges, W: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """offset (C,) + features times amplitude times W (H, C), at points (N, 3): (N, C) float32."""
+    out = np.empty((len(X), len(offset)), np.float32)
+    _answer(X, hinges, W, offset, False, np.arange(len(offset)), out)
+    return out
+
+
+def shares_at(
+    X: np.ndarray, hinges: HashedHinges, W: np.ndarray, offset: np.ndarray, columns: np.ndarray, count: int
 ) -> np.ndarray:
-    """offset (C,) + features times amplitude times W (H, C), at points (N, 3): (N, C) float32; their softmax
-    where shares are asked for."""
-    out, weights = np.empty((len(X), len(offset)), np.float32), flat(W)
+    """The logits' softmax at points (N, 3), class by class in columns (C,) of (N, count) float32, 0 in the
+    others."""
+    out = np.zeros((len(X), count), np.float32)
+    _answer(X, hinges, W, offset, True, columns, out)
+    return out
+
+
+def _answer(
+    X: np.ndarray,
+    hinges: HashedHinges,
+    W: np.ndarray,
+    offset: np.ndarray,
+    shares: bool,
+    columns: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    weights = flat(W)
 
     def answer(rows: np.ndarray) -> None:
         order, tiles, _ = _compact_tiles(X, rows, hinges)
-        answer_tiles(tiles, weights, offset, shares, order, out)
+        answer_tiles(tiles, weights, offset, shares, order, columns, out)
 
     map_in_threads(answer, _parts(_order_of(X)))
-    return out
 
 
 def _order_of(X: np.ndarray) -> np.ndarray:
     """Indices (N,) of points, those in a block following each other."""
     if len(X) <= ROWS:
         return np.arange(len(X))
-    block = np.floor(X / BLOCK)
-    return np.argsort(cell_numbers(block - block.min(0)), kind="stable")
+    low = np.floor(X.min(axis=0) / BLOCK)
+    sides = np.floor(X.max(axis=0) / BLOCK) - low + 1
+    if np.prod(sides, dtype=float) <= CELLS * len(X):  # counted, which takes a fraction of sorting
+        return _counted_order(X, low, sides.astype(np.int64))
+    return np.argsort(cell_numbers(np.floor(X / BLOCK) - low), kind="stable")
+
+
+@compiled
+def _counted_order(X: np.ndarray, low: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """The same, by counting the points (N, 3) of each of all blocks from low (3,) on, sides (3,) of them."""
+    block, first = np.empty(len(X), np.int32), np.zeros(sides[0] * sides[1] * sides[2] + 1, np.int64)
+    for i in range(len(X)):
+        x, y, z = np.floor(X[i, 0] / BLOCK), np.floor(X[i, 1] / BLOCK), np.floor(X[i, 2] / BLOCK)
+        block[i] = (np.int64(x - low[0]) * sides[1] + np.int64(y - low[1])) * sides[2] + np.int64(z - low[2])
+        first[block[i] + 1] += 1
+    for k in range(1, len(first)):
+        first[k] += first[k - 1]
+    order = np.empty(len(X), np.int64)
+    for i in range(len(X)):
+        order[first[block[i]]] = i
+        first[block[i]] += 1
+    return order
 
 
 def _parts(order: np.ndarray) -> list[np.ndarray]:
@@ -82,9 +127,9 @@ def _compact_tiles(
     X: np.ndarray, rows: np.ndarray, hinges: HashedHinges
 ) -> tuple[np.ndarray, Tiles, np.ndarray]:
     """Some rows (n,) of points X (N, 3) in a compact order, their tiles, and each one's strongest feature."""
-    points = X[rows].astype(np.float64)
+    points = np.take(X, rows, axis=0).astype(np.float64)
     compact = compact_order(points - points.mean(axis=0), LANES)
-    tiles, strongest = _tiles(points[compact], hinges)
+    tiles, strongest = _tiles(np.take(points, compact, axis=0), hinges)
     return rows[compact], tiles, strongest[: len(rows)]
 
 
@@ -96,10 +141,11 @@ def _joined(parts: Sequence[Tiles]) -> Tiles:
 
 
 class _Room(NamedTuple):
-    """What a tile's search works in. local: (3 8,) coordinates from `base` (3,), in spacings; begin, end:
-    (3,) the box of nodes in reach, from base; along: (3 sides 8,) the features along each axis; sides: room
-    for so many nodes an axis; radius: reach, in spacings."""
+    """What a tile's search works in. metres: (3 8,) coordinates from its first place [m]; local: the same in
+    spacings from `base` (3,); begin, end: (3,) the box of nodes in reach, from base; along: (3 sides 8,) the
+    features along each axis; sides: room for so many nodes an axis; radius: reach, in spacings."""
 
+    metres: np.ndarray
     local: np.ndarray
     base: np.ndarray
     begin: np.ndarray
@@ -114,7 +160,8 @@ def _room(hinges: HashedHinges) -> _Room:
     radius = np.float32(np.sqrt(-np.log(hinges.cutoff) / hinges.width))
     sides = SPREAD * (int(2 * radius) + 1)
     whole, along = np.empty((3, 3), np.int64), np.empty(3 * sides * LANES, np.float32)
-    return _Room(np.empty(3 * LANES, np.float32), whole[0], whole[1], whole[2], along, sides, radius)
+    places = np.empty((2, 3 * LANES), np.float32)
+    return _Room(places[0], places[1], whole[0], whole[1], whole[2], along, sides, radius)
 
 
 @compiled
@@ -123,42 +170,56 @@ def _tiles(X: np.ndarray, hinges: HashedHinges) -> tuple[Tiles, np.ndarray]:
     count, room = (len(X) + LANES - 1) // LANES, _room(hinges)
     starts, strongest = np.zeros(count + 1, np.int64), np.zeros(count * LANES, np.float32)
     each = (room.sides // SPREAD) ** 3
-    most = each * max(SPREAD, LANES)
+    most = each * max(SPREAD, LANES) + 1
     columns = np.empty(96 * count + most, np.int32)
     values, found = np.empty(LANES * len(columns), np.float32), 0
     for p in range(count):
         last = min(LANES, len(X) - p * LANES)
+        _from_first(X, p, 0, last, room)
+        whole = True
         for t in range(len(hinges.spacings)):
             if found + most > len(columns):
                 more = len(columns) + most
                 columns = np.concatenate((columns, np.empty(more, np.int32)))
                 values = np.concatenate((values, np.empty(LANES * more, np.float32)))
-            if _box(X, p, 0, last, t, hinges, room) <= SPREAD * each:
+            if not whole:
+                _from_first(X, p, 0, last, room)
+                whole = True
+            if _box(X[LANES * p], t, hinges, room) <= SPREAD * each:
                 found = _add(p, 0, last, t, hinges, room, columns, values, found, strongest)
                 continue
             for lane in range(last):
-                _box(X, p, lane, lane + 1, t, hinges, room)
+                _from_first(X, p, lane, lane + 1, room)
+                _box(X[LANES * p + lane], t, hinges, room)
                 found = _add(p, lane, lane + 1, t, hinges, room, columns, values, found, strongest)
+            whole = False
         starts[p + 1] = found
     return Tiles(starts, columns[:found].copy(), values[: LANES * found].copy()), strongest
 
 
 @compiled
-def _box(X: np.ndarray, p: int, first: int, last: int, t: int, hinges: HashedHinges, room: _Room) -> float:
-    """How many nodes of shape t the box around all in reach of places first..last of tile p holds; infinite
-    where it is too long. Fills the room, lanes of other places as if they were the first one's."""
+def _from_first(X: np.ndarray, p: int, first: int, last: int, room: _Room) -> None:
+    """Fill the room's metres with places first..last of tile p; other lanes as if they were the first one."""
+    for axis in range(3):
+        for lane in range(LANES):
+            here = X[LANES * p + lane, axis] if first <= lane < last else X[LANES * p + first, axis]
+            room.metres[LANES * axis + lane] = here - X[LANES * p + first, axis]
+
+
+@compiled
+def _box(place: np.ndarray, t: int, hinges: HashedHinges, room: _Room) -> float:
+    """How many nodes of shape t the box around all in reach of the room's metres holds, whose first place is
+    `place` (3,); infinite where it is too long. Fills the room."""
     nodes = 1.0
     for axis in range(3):
         spacing = hinges.spacings[t, axis]
-        base = np.rint(X[LANES * p + first, axis] / spacing)
-        smallest = largest = np.float32(X[LANES * p + first, axis] / spacing - base)
-        for lane in range(LANES):
-            room.local[LANES * axis + lane] = smallest
-        for lane in range(first, last):
-            place = np.float32(X[LANES * p + lane, axis] / spacing - base)
-            room.local[LANES * axis + lane] = place
-            smallest, largest = min(smallest, place), max(largest, place)
-        if largest - smallest + 2 * room.radius > room.sides - 2:
+        first = place[axis] / spacing
+        base = np.rint(first)
+        metres, rate = load(room.metres, LANES * axis), every(np.float32(1 / spacing))
+        local = plus_product(every(np.float32(first - base)), metres, rate)
+        store(room.local, LANES * axis, local)
+        smallest, largest = -highest(minus(every(np.float32(0)), local)), highest(local)
+        if not largest - smallest + 2 * room.radius <= room.sides - 2:
             return np.inf
         room.base[axis] = np.int64(base)
         room.begin[axis] = np.int64(np.ceil(smallest - room.radius))
@@ -189,40 +250,38 @@ def _add(
             away = minus(place, every(np.float32(n)))
             feature = exponential(times(times(away, away), every(-hinges.width)))
             store(along, LANES * (axis * sides + n - room.begin[axis]), feature)
-    for n in range(room.end[0] - room.begin[0]):
-        for lane in range(LANES):
-            if lane < first or lane >= last:
-                along[LANES * n + lane] = 0
+    if last - first < LANES:
+        for n in range(room.end[0] - room.begin[0]):
+            for lane in range(LANES):
+                if lane < first or lane >= last:
+                    along[LANES * n + lane] = 0
     x0, y0, z0 = base[0] + room.begin[0], base[1] + room.begin[1], base[2] + room.begin[2]
     x1, y1, z1 = base[0] + room.end[0], base[1] + room.end[1], base[2] + room.end[2]
     least, loud = every(hinges.cutoff), every(hinges.amplitude[t])
+    largest = load(strongest, LANES * p)
     for x in range(x0 >> BITS, (x1 - 1 >> BITS) + 1):
+        of_x = ALONG[0, max(x0 - (x << BITS), 0), min(x1 - (x << BITS), SIDE)]
         for y in range(y0 >> BITS, (y1 - 1 >> BITS) + 1):
+            of_xy = of_x & ALONG[1, max(y0 - (y << BITS), 0), min(y1 - (y << BITS), SIDE)]
             for z in range(z0 >> BITS, (z1 - 1 >> BITS) + 1):
                 cube = cube_at(x, y, z, t, hinges)
                 if cube < 0:
                     continue
-                nearest, beyond = max(z << BITS, z0), min((z + 1) << BITS, z1)
-                for i in range(max(x << BITS, x0), min((x + 1) << BITS, x1)):
-                    along_x = load(along, LANES * (i - x0))
-                    for j in range(max(y << BITS, y0), min((y + 1) << BITS, y1)):
-                        along_xy = times(along_x, load(along, LANES * (sides + j - y0)))
-                        if not any_above(along_xy, least):
-                            continue
-                        row = ((i & (SIDE - 1)) * SIDE + (j & (SIDE - 1))) * SIDE
-                        for k in range(nearest, beyond):
-                            hinge = hinges.cubes[cube, row + (k & (SIDE - 1))]
-                            if hinge < 0:
-                                continue
-                            feature = times(along_xy, load(along, LANES * (2 * sides + k - z0)))
-                            if any_above(feature, least):
-                                feature = above(feature, least)
-                                columns[found] = hinge
-                                store(values, LANES * found, times(feature, loud))
-                                store(
-                                    strongest,
-                                    LANES * p,
-                                    larger(load(strongest, LANES * p), feature),
-                                )
-                                found += 1
+                # The bits of a cube's nodes that are hinge points and in the box.
+                left = hinges.filled[cube] & of_xy
+                left &= ALONG[2, max(z0 - (z << BITS), 0), min(z1 - (z << BITS), SIDE)]
+                while left:
+                    node = lowest_bit(left)
+                    left &= left - 1
+                    i, j, k = node >> 2 * BITS, (node >> BITS) & (SIDE - 1), node & (SIDE - 1)
+                    along_x = load(along, LANES * ((x << BITS) + i - x0))
+                    along_y = load(along, LANES * (sides + (y << BITS) + j - y0))
+                    along_z = load(along, LANES * (2 * sides + (z << BITS) + k - z0))
+                    feature = above(times(times(along_x, along_y), along_z), least)
+                    largest = larger(largest, feature)
+                    # Written in any case, and written over unless it counts: a branch costs more.
+                    columns[found] = hinges.cubes[cube, node]
+                    store(values, LANES * found, times(feature, loud))
+                    found += any_above(feature, least)
+    store(strongest, LANES * p, largest)
     return found

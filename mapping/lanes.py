@@ -147,6 +147,16 @@ def any_above(context: Any, a: Any, least: Any) -> Any:
 
 
 @intrinsic
+def lowest_bit(context: Any, bits: Any) -> Any:
+    """Place of the lowest bit that is set in an int64 other than 0."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
+
+    return types.int64(types.int64), generate
+
+
+@intrinsic
 def highest(context: Any, a: Any) -> Any:
     """The largest of the eight numbers."""
 

@@ -15,7 +15,7 @@ from mapping.checks import checked_points
 from mapping.config import FitConfig
 from mapping.errors import ConfigError, DataError
 from mapping.hashed_hinges import HashedHinges, cube_by_cube, filled_nodes, hinges_at
-from mapping.hashed_tiles import logits_at
+from mapping.hashed_tiles import shares_at
 from mapping.label_noise import disagreement, true_labels, wrong_label_share
 from mapping.samples import merge_in_cells
 from mapping.settings import Checked, NotNegative, OpenShare, Positive, Share
@@ -131,7 +131,7 @@ class MultiscaleMap:
         have the same noise samples and agree at their seams.
         """
         config = self.config
-        X, y = _in_space(X), np.asarray(y, np.int64)
+        X, y = _in_space(X).astype(np.float64), np.asarray(y, np.int64)
         if len(y) != len(X) or not len(X):
             raise DataError(f"wanted as many labels as points, and at least one; got {len(y)}, {len(X)}")
         whole = whole or Whole.of(X, y, classes, config)
@@ -152,8 +152,9 @@ class MultiscaleMap:
         labels = np.eye(len(self.known), dtype=np.float32)[y]
         self._fit_labels(samples, X, labels, l2)
         if mend:
-            shares = logits_at(X, self.hinges, self.W, self._offset(), shares=True)[:, : len(self.known)]
-            labels = true_labels(y, shares, whole.wrong)
+            columns = np.arange(len(self._offset()))
+            shares = shares_at(X, self.hinges, self.W, self._offset(), columns, len(columns))
+            labels = true_labels(y, shares[:, : len(self.known)], whole.wrong)
             self._fit_labels(samples, X, labels, config.mended_penalty * l2, self.W)
         return self
 
@@ -193,12 +194,10 @@ class MultiscaleMap:
     def predict_proba(self, X: np.ndarray) -> np.ndarray:
         """Class probabilities (N, C + 1) at points (N, 3) [m], the uncertain class last; (N, C) if there is
         none."""
-        found = logits_at(_in_space(X), self._fitted(), self.W, self._offset(), shares=True)
-        if len(self.known) == self.classes:
-            return found
-        every = np.zeros((len(found), self.classes + self.uncertain), np.float32)
-        every[:, np.append(self.known, self.classes) if self.uncertain else self.known] = found
-        return every
+        X = _in_space(X)
+        columns = np.append(self.known, self.classes) if self.uncertain else self.known
+        count = self.classes + self.uncertain
+        return shares_at(X, self._fitted(), self.W, self._offset(), columns, count)
 
     def predict_lattice(self, axes: tuple[np.ndarray, ...]) -> np.ndarray:
         """Class probabilities (*lattice, C + 1) on the lattice that three coordinate arrays [m] span."""
@@ -275,6 +274,7 @@ def _chances(cells: np.ndarray, seed: int) -> np.ndarray:
 
 
 def _in_space(X: np.ndarray) -> np.ndarray:
-    """Points (N, 3) as float64: float32 cannot tell places in a city apart."""
+    """Points (N, 3), float64 unless they are float32 already, which cannot tell places in a city apart."""
     checked_points(X, dimensions=3)
-    return np.ascontiguousarray(X, np.float64)
+    X = np.ascontiguousarray(X)
+    return X if X.dtype == np.float32 else X.astype(np.float64, copy=False)

@@ -150,10 +150,16 @@ def cross_entropy(
 
 @compiled
 def answer_tiles(
-    tiles: Tiles, W: np.ndarray, offset: np.ndarray, shares: bool, order: np.ndarray, out: np.ndarray
+    tiles: Tiles,
+    W: np.ndarray,
+    offset: np.ndarray,
+    shares: bool,
+    order: np.ndarray,
+    columns: np.ndarray,
+    out: np.ndarray,
 ) -> None:
-    """Write the logits of rows, or their softmax where shares are asked for, to out (N, C): row i goes to
-    out[order[i]]. W and offset: as in `cross_entropy`."""
+    """Write the logits of rows, or their softmax where shares are asked for, to out: class c of row i goes to
+    out[order[i], columns[c]]. W and offset: as in `cross_entropy`."""
     classes = len(offset)
     logits = np.empty(-(-classes // LANES) * LANES * LANES, np.float32)
     for t in range(len(tiles.starts) - 1):
@@ -172,7 +178,7 @@ def answer_tiles(
         for lane in range(min(LANES, len(order) - LANES * t)):
             row = order[LANES * t + lane]
             for c in range(classes):
-                out[row, c] = logits[c * LANES + lane]
+                out[row, columns[c]] = logits[c * LANES + lane]
 
 
 @compiled

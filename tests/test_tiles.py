@@ -9,7 +9,7 @@ from scipy import sparse
 
 from mapping.compact_order import compact_order
 from mapping.compiled import compiled
-from mapping.lanes import LANES, every, exponential, load, logarithm, store
+from mapping.lanes import LANES, every, exponential, load, logarithm, lowest_bit, store
 from mapping.objectives import objective_of
 from mapping.sparse_features import sparse_features
 from mapping.threads import Threads
@@ -163,3 +163,20 @@ def test_exponentials_and_logarithms_are_right_to_single_precision() -> None:
     assert np.abs(logarithms(near_one) - np.log(near_one.astype(np.float64))).max() < 2e-7
     assert (exponentials(np.full(8, -np.inf, np.float32)) < 1e-37).all()
     assert (constant(np.zeros(8, np.float32)) == 3).all()
+
+
+@compiled
+def lowest_bits(numbers: np.ndarray) -> np.ndarray:
+    out = np.empty(len(numbers), np.int64)
+    for i in range(len(numbers)):
+        out[i] = lowest_bit(numbers[i])
+    return out
+
+
+def test_the_lowest_bit_of_any_number() -> None:
+    places = np.arange(64)
+    alone = np.uint64(1) << places.astype(np.uint64)
+    np.testing.assert_array_equal(lowest_bits(alone.view(np.int64)), places)
+    np.testing.assert_array_equal(
+        lowest_bits((alone | (np.uint64(1) << np.uint64(63))).view(np.int64)), places
+    )
