@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from mapping.compiled import compiled
 from perception.camera import Camera, invert_rigid
 from perception.observation import Observation
 from reconstruction.surface.image_edges import BORDER, box_of, edge_pixels, nearest_of
@@ -29,6 +30,18 @@ from reconstruction.surface.smooth_depth import surface_planes
 
 NOWHERE = -10_000_000
 """Column and row of the pixel that stands for none."""
+
+
+@compiled
+def _put_planes(planes: np.ndarray, pixels: np.ndarray, own: np.ndarray, T: np.ndarray) -> None:
+    """Planes (H W, 4) of pixels (N,) in the table's frame from those (N, 4) in the camera's; T: table to
+    camera."""
+    for n in range(len(pixels)):
+        plane = planes[pixels[n]]
+        x, y, z, c = own[n, 0], own[n, 1], own[n, 2], own[n, 3]
+        for axis in range(3):
+            plane[axis] = x * T[0, axis] + y * T[1, axis] + z * T[2, axis]
+        plane[3] = c - (x * T[0, 3] + y * T[1, 3] + z * T[2, 3])
 
 
 @dataclass(frozen=True)
@@ -73,8 +86,7 @@ class SeenSurface:
         own, noise = surface_planes(depth, owner + 3, pixels, camera)
         T = invert_rigid(observation.T_table_camera)
         planes = np.zeros((depth.size, 4), np.float32)
-        planes[pixels, :3] = own[:, :3] @ T[:3, :3].astype(np.float32)
-        planes[pixels, 3] = own[:, 3] - own[:, :3] @ T[:3, 3].astype(np.float32)
+        _put_planes(planes, pixels, own, T.astype(np.float32))
         boxes = [box_of(item.pixels, camera.width) for item in observation.objects]
         return cls(camera, T, owner, depth, planes, noise, floors, boxes)
 

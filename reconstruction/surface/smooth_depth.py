@@ -36,9 +36,7 @@ STEPS = ((1, 0), (0, 1))
 """To direct neighbours along u and v [px]."""
 NONE = np.float32(-1e4)
 """Inverse depth of pixels without one: so far from any that no difference is small."""
-COLUMNS = 16
-"""Matrix products of a multiple of this sum all columns in one order."""
-LEVEL = 1e-5
+LEVEL = np.float32(1e-5)
 """Weight of "level" in the slope: decides where no neighbour says anything."""
 
 
@@ -66,13 +64,7 @@ def surface_planes(
     fitted = np.empty((3, len(pixels)), np.float32)
     for part in parts:
         fitted[:, part.which] = _fitted(part, noise, radius, min(camera.K[0, 0], camera.K[1, 1]))
-    smooth, gu, gv = fitted
-    row = pixels // camera.width
-    u, v = (pixels - row * camera.width).astype(np.float32), row.astype(np.float32)
-    # 1 / z = smooth + gu (u - u0) + gv (v - v0) is a plane a . x = 1 of space.
-    a = np.stack([gu, gv, smooth - gu * u - gv * v], axis=1) @ camera.K.astype(np.float32)
-    length = np.linalg.norm(a, axis=1, keepdims=True)
-    return np.concatenate([a / length, 1 / length], axis=1), noise
+    return _in_space(fitted, pixels, camera.width, camera.K.astype(np.float32)), noise
 
 
 @dataclass(frozen=True)
@@ -124,79 +116,88 @@ def _fitted(part: _Part, noise: float, radius: int, focal: float) -> np.ndarray:
     weights = np.exp(-(steps**2).sum(1) / (2 * (radius / 1.5) ** 2)).astype(np.float32)
     places = part.place + RADIUS * (part.width + 1)
     bend = np.float32(BEND * np.sqrt(6) * noise)
-    shares, differences, sums = _pairs(part.inverse, part.width, places, steps, weights, bend)
-    u, v = steps.T.astype(np.float32)
-    moments = np.stack([u * u, u * v, v * v, np.ones_like(u)]) @ shares
-    slopes = np.stack([u, v]) / 2 @ differences
-    alone = shares[steps.tolist().index([1, 0])] == 0, shares[steps.tolist().index([0, 1])] == 0
-    per_pixel, spread = np.float32(4 / focal), np.float32(4 * noise)
-    fit = _fit(part.inverse, part.width, places, moments, slopes, *alone, per_pixel, spread)
-    own = part.inverse[places]
-    return np.stack([(own + sums) / (1 + 2 * moments[3, : len(own)]) if radius > 1 else own, *fit])
+    near = np.float32(4 / focal), np.float32(4 * noise)
+    return _planes(part.inverse, part.width, places, steps, weights, bend, *near, radius > 1)
 
 
 @compiled
-def _pairs(
-    inverse: np.ndarray, width: int, places: np.ndarray, steps: np.ndarray, weights: np.ndarray, bend: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What opposite neighbours, `steps` (S, 2) away from places (N,) of a part's rows, say of the surface.
-
-    The weight of each pair (S, M), 0 where it bends by more than `bend` [1/m] of noise; its difference
-    (S, M), and the sum of all pairs (N,), both times that. M: N and a few more.
-    """
-    count = len(places)
-    shares = np.zeros((len(steps), count + -count % COLUMNS), np.float32)
-    differences, sums = np.zeros_like(shares), np.zeros(count, np.float32)
-    for s in range(len(steps)):
-        step, weight = steps[s, 1] * width + steps[s, 0], weights[s]
-        for n in range(count):
-            own, after = inverse[places[n]], inverse[places[n] + step]
-            before = inverse[places[n] - step]
-            both = after + before
-            # Never where one is missing.
-            if abs(both - np.float32(2) * own) <= bend + np.float32(LEAST_BEND) * own * own:
-                shares[s, n], differences[s, n] = weight, weight * (after - before)
-                sums[n] += weight * both
-    return shares, differences, sums
-
-
-@compiled
-def _fit(
+def _planes(
     inverse: np.ndarray,
     width: int,
     places: np.ndarray,
-    moments: np.ndarray,
-    slopes: np.ndarray,
-    alone_u: np.ndarray,
-    alone_v: np.ndarray,
+    steps: np.ndarray,
+    weights: np.ndarray,
+    bend: float,
     per_pixel: float,
     spread: float,
+    smoothed: bool,
 ) -> np.ndarray:
-    """The slopes (2, N) at places (N,) of a part's rows, from the sums over pairs: of weights times u u, u v,
-    v v, 1 (4, M) and of differences times u, v (2, M).
+    """Smoothed inverse depth and its slopes along u and v (3, N) at places (N,) of a part's rows.
 
-    A neighbour without its opposite, where there is no pair along u or v (M,), counts if it is nearer than
-    `per_pixel` times the inverse depth and `spread` [1/m].
+    From opposite neighbours, `steps` (S, 2) away and of weights (S,), (1, 0) and (0, 1) among them; a pair
+    that bends by more than `bend` [1/m] of noise does not count. A neighbour without its opposite, where
+    there is no direct pair along u or v, counts if it is nearer than `per_pixel` times the inverse depth and
+    `spread` [1/m].
     """
-    found = np.empty((2, len(places)), np.float32)
-    share = np.float32(ONE_SIDED)
+    found = np.empty((3, len(places)), np.float32)
+    zero, half, share = np.float32(0), np.float32(0.5), np.float32(ONE_SIDED)
     for n in range(len(places)):
-        own = inverse[places[n]]
-        xx, xy, yy = moments[0, n] + np.float32(LEVEL), moments[1, n], moments[2, n] + np.float32(LEVEL)
-        xw, yw = slopes[0, n], slopes[1, n]
+        place = places[n]
+        own = inverse[place]
+        most = bend + np.float32(LEAST_BEND) * own * own
+        xx = yy = LEVEL
+        xy = xw = yw = count = total = zero
+        alone_u = alone_v = True
+        for s in range(len(steps)):
+            step = steps[s, 1] * width + steps[s, 0]
+            after, before = inverse[place + step], inverse[place - step]
+            both = after + before
+            # Never where one is missing.
+            if abs(both - np.float32(2) * own) <= most:
+                u, v, weight = np.float32(steps[s, 0]), np.float32(steps[s, 1]), weights[s]
+                difference = half * weight * (after - before)
+                xx += weight * u * u
+                xy += weight * u * v
+                yy += weight * v * v
+                xw += difference * u
+                yw += difference * v
+                count += weight
+                total += weight * both
+                alone_u &= not (steps[s, 0] == 1 and steps[s, 1] == 0)
+                alone_v &= not (steps[s, 0] == 0 and steps[s, 1] == 1)
         for sign in (1, -1):
-            gap = inverse[places[n] + sign] - own
-            if alone_u[n] and abs(gap) <= per_pixel * own + spread:
+            gap = inverse[place + sign] - own
+            if alone_u and abs(gap) <= per_pixel * own + spread:
                 xx += share
                 xw += np.float32(sign) * share * gap
-            gap = inverse[places[n] + sign * width] - own
-            if alone_v[n] and abs(gap) <= per_pixel * own + spread:
+            gap = inverse[place + sign * width] - own
+            if alone_v and abs(gap) <= per_pixel * own + spread:
                 yy += share
                 yw += np.float32(sign) * share * gap
         determinant = xx * yy - xy * xy
-        found[0, n] = (yy * xw - xy * yw) / determinant
-        found[1, n] = (xx * yw - xy * xw) / determinant
+        found[0, n] = (own + total) / (np.float32(1) + np.float32(2) * count) if smoothed else own
+        found[1, n] = (yy * xw - xy * yw) / determinant
+        found[2, n] = (xx * yw - xy * xw) / determinant
     return found
+
+
+@compiled
+def _in_space(smooth: np.ndarray, pixels: np.ndarray, width: int, K: np.ndarray) -> np.ndarray:
+    """Planes (N, 4) from inverse depth and its slopes (3, N) at pixels (N,): 1 / z = smooth + gu (u - u0) +
+    gv (v - v0) is a plane a . x = 1 of space."""
+    planes = np.empty((len(pixels), 4), np.float32)
+    for n in range(len(pixels)):
+        row = pixels[n] // width
+        u, v = np.float32(pixels[n] - row * width), np.float32(row)
+        gu, gv = smooth[1, n], smooth[2, n]
+        constant = smooth[0, n] - gu * u - gv * v
+        x = gu * K[0, 0] + gv * K[1, 0] + constant * K[2, 0]
+        y = gu * K[0, 1] + gv * K[1, 1] + constant * K[2, 1]
+        z = gu * K[0, 2] + gv * K[1, 2] + constant * K[2, 2]
+        length = np.sqrt(x * x + y * y + z * z)
+        planes[n, 0], planes[n, 1], planes[n, 2] = x / length, y / length, z / length
+        planes[n, 3] = np.float32(1) / length
+    return planes
 
 
 def _noise(bends: np.ndarray) -> float:
