@@ -17,6 +17,8 @@ BORDER = 6
 SAME_DEPTH = 0.002
 """Beside an object's edge, a surface this much farther away is beyond the edge [m]; within an object, the
 jump must be one that no slanted surface explains."""
+USUAL = PerceptionConfig()
+"""What counts as a jump of depth."""
 
 
 def box_of(pixels: np.ndarray, width: int) -> tuple[slice, slice]:
@@ -29,7 +31,7 @@ def box_of(pixels: np.ndarray, width: int) -> tuple[slice, slice]:
 def edge_pixels(own: np.ndarray, depth: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Pixels (h, w) bool on the near side of an edge of an object's image own (h, w), and on its far side."""
     depth = np.ascontiguousarray(depth, np.float32)
-    return _edge_pixels(own, depth, depth_jump(depth, camera, PerceptionConfig()))
+    return _edge_pixels(own, depth, depth_jump(depth, camera, USUAL))
 
 
 @compiled
