@@ -11,6 +11,11 @@ from perception.camera import Camera
 from perception.config import PerceptionConfig
 from perception.filling import filled
 
+FEW = 2
+"""A pixel of a surface, however thin, joins more of its neighbours than this, or nothing lies behind it."""
+REACH = 3
+"""So far sensors draw an edge out [px]."""
+
 
 def depth_jump(depth: np.ndarray, camera: Camera, config: PerceptionConfig) -> np.ndarray:
     """Depth step [m] between neighbouring pixels that no surface in sight explains; depth (...) [m]."""
@@ -27,8 +32,9 @@ def _jump_factors(camera: Camera, config: PerceptionConfig) -> tuple[np.float32,
 def remove_flying_pixels(depth: np.ndarray, camera: Camera, config: PerceptionConfig) -> np.ndarray:
     """A copy of depth (H, W) [m] with NaN where a pixel hangs between a nearer and a farther surface.
 
-    Such pixels mix foreground and background. A thin object is the nearest of its
-    neighbourhood, so it stays.
+    Such pixels mix foreground and background. A thin object is the nearest of its neighbourhood, so it stays.
+    Where a sensor draws an edge out over several pixels, what is left between the two surfaces has few
+    neighbours that it joins: those look as far as the surfaces are.
     """
     import cv2
 
@@ -36,7 +42,9 @@ def remove_flying_pixels(depth: np.ndarray, camera: Camera, config: PerceptionCo
     nearest = cv2.erode(filled(depth, np.inf), kernel)
     farthest = cv2.dilate(filled(depth, 0.0), kernel)
     linear, square = _jump_factors(camera, config)
-    return _without_between(np.ascontiguousarray(depth), nearest, farthest, linear, square)
+    cleaned = _without_between(np.ascontiguousarray(depth), nearest, farthest, linear, square)
+    _drop_remnants(cleaned, linear, square)
+    return cleaned
 
 
 @compiled
@@ -52,6 +60,44 @@ def _without_between(
             flying = own - nearest[row, column] > jump and farthest[row, column] - own > jump
             cleaned[row, column] = np.float32(np.nan) if flying else own
     return cleaned
+
+
+@compiled
+def _drop_remnants(depth: np.ndarray, linear: np.float32, square: np.float32) -> None:
+    """NaN where a pixel of depth (H, W) joins at most FEW of the eight around it, and within REACH pixels
+    both a nearer and a farther one are a jump away."""
+    height, width = depth.shape
+    found = [0 for _ in range(0)]
+    for row in range(height):
+        for column in range(width):
+            own = depth[row, column]
+            if np.isnan(own):
+                continue
+            jump, joined = linear * own + square * own * own, 0
+            if 0 < row < height - 1 and 0 < column < width - 1:  # nearly all need no further look
+                joined += abs(depth[row, column - 1] - own) < jump
+                joined += abs(depth[row, column + 1] - own) < jump
+                joined += abs(depth[row - 1, column] - own) < jump
+                joined += abs(depth[row + 1, column] - own) < jump
+                if joined > FEW:
+                    continue
+                joined = 0
+            for r in range(max(row - 1, 0), min(row + 2, height)):
+                for c in range(max(column - 1, 0), min(column + 2, width)):
+                    joined += abs(depth[r, c] - own) < jump
+                if joined > FEW + 1:  # itself among them
+                    break
+            if joined > FEW + 1:
+                continue
+            nearer = farther = False
+            for r in range(max(row - REACH, 0), min(row + REACH + 1, height)):
+                for c in range(max(column - REACH, 0), min(column + REACH + 1, width)):
+                    nearer |= own - depth[r, c] > jump
+                    farther |= depth[r, c] - own > jump
+            if nearer and farther:
+                found.append(row * width + column)
+    for pixel in found:
+        depth.reshape(-1)[pixel] = np.nan
 
 
 def joined_neighbours(

@@ -7,6 +7,7 @@ import pytest
 from conftest import Shape, Tabletop, make_tabletop
 
 from perception import Observation, PerceptionConfig, observe
+from perception.camera import Camera
 from perception.depth_edges import remove_flying_pixels
 
 
@@ -47,6 +48,28 @@ def test_thin_objects_are_not_eaten(width: int) -> None:
     depth[:, 100 : 100 + width] = 0.7
     depth[120:122, :] = 0.7
     np.testing.assert_array_equal(remove_flying_pixels(depth, camera, PerceptionConfig()), depth)
+
+
+def test_an_edge_drawn_out_over_several_pixels_leaves_nothing_between() -> None:
+    camera = Camera(np.array([[600.0, 0, 40], [0, 600, 30], [0, 0, 1]]), 80, 60)
+    depth = np.full((60, 80), 0.75, np.float32)
+    depth[:, 40:] = 0.68
+    depth[:, 37:41] = np.nan
+    depth[::2, 38] = 0.70  # what is left of a ramp, in a column with holes
+    depth[1::6, 39] = 0.695
+    cleaned = remove_flying_pixels(depth, camera, PerceptionConfig())
+    assert np.isnan(cleaned[:, 37:41]).all()
+    np.testing.assert_array_equal(cleaned[:, :37], depth[:, :37])
+    np.testing.assert_array_equal(cleaned[:, 41:], depth[:, 41:])
+
+
+def test_thin_things_between_a_near_and_a_far_surface_stay() -> None:
+    camera = Camera(np.array([[600.0, 0, 40], [0, 600, 30], [0, 0, 1]]), 80, 60)
+    depth = np.full((60, 80), 0.75, np.float32)
+    depth[:, 40:] = 0.66
+    depth[20:22, 30:39] = 0.70  # a rod, two pixels wide, that ends beside the near surface
+    cleaned = remove_flying_pixels(depth, camera, PerceptionConfig())
+    assert np.isfinite(cleaned[20:22, 30:36]).all()
 
 
 @pytest.mark.parametrize("label", [1, 2, 3, 4])
