@@ -32,7 +32,9 @@ from reconstruction.samples.training_set import TrainingSet
 from reconstruction.surface.field import Field, evaluate_field
 from reconstruction.surface.joint_surface import JointSurface
 from reconstruction.surface.meshing import extract_mesh
+from reconstruction.surface.refined import values_at
 from reconstruction.surface.seen_surface import SeenSurface
+from reconstruction.surface.unchanged import unchanged
 from reconstruction.warm_start import Before, Surface
 
 OTHER_MARGIN = 0.03
@@ -139,7 +141,7 @@ class FittedScene:
     def meshes(self) -> list[Surface | None]:
         """The surface of each observed object, None where the map gives it no volume."""
         objects = self.observation.objects
-        kept = {} if self.before is None else self.before.kept
+        kept = self._kept
 
         def extract(index: int) -> tuple[trimesh.Trimesh, np.ndarray] | None:
             points = objects[index].points
@@ -156,6 +158,42 @@ class FittedScene:
         return [
             surfaces[index] if index in surfaces else kept[item.label] for index, item in enumerate(objects)
         ]
+
+    @property
+    def _kept(self) -> dict[int, Surface]:
+        """Surfaces of the earlier map that stay, by label: no new view says anything of them, or nothing that
+        would move them."""
+        if self.before is None:
+            return {}
+        kept = {label: self.before.surfaces[label] for label in self.before.kept}
+        for index, item in enumerate(self.observation.objects):
+            surface = self.before.surfaces.get(item.label)
+            if surface is not None and item.label not in kept and self._stays(index, surface):
+                kept[item.label] = self._with_field(index, surface)
+        return kept
+
+    def _stays(self, index: int, surface: Surface) -> bool:
+        """Whether the latest view leaves the surface of an object of several views where it is."""
+        seen, mesh, before = self.seen, self.config.mesh, surface.field
+        if not isinstance(seen, JointSurface) or before is None or mesh.max_uncertainty is not None:
+            return False
+        assert isinstance(self.observation, JointObservation)
+        edges, label = seen.edges(index), self.observation.objects[index].label
+        latest = self.observation.views[-1].observation.objects
+        points = [item.points for item in latest if item.label == label]
+        few = np.concatenate([np.empty((0, 3), np.float32), *points])
+        few = few[first_in_cells(few, seen.thinnest)]
+        inside = before.origin, before.occupancy > 0.5
+        wall = mesh.fusion.wall
+        return unchanged(surface.mesh, inside, self.field, index, edges, edges.views[-1], few, wall)
+
+    def _with_field(self, index: int, surface: Surface) -> Surface:
+        """A surface that stays, as uncertain as the map is now."""
+        field = self.field
+        window = field.windows[index]
+        nodes = (np.asarray(surface.mesh.vertices) - field.corner(window)) / field.spacing
+        uncertainty = np.clip(values_at(field.uncertainty[window], nodes), 0, 1)
+        return Surface(surface.mesh, uncertainty, surface.field)
 
     @cached_property
     def other(self) -> Surface | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from time import perf_counter
@@ -87,24 +87,38 @@ def update(
         return replace(result, notes=tuple(dict.fromkeys([*result.notes, *joint.notes])))
     numbers = {view.number for view in known}
     new = [view.observation for view in joint.views if view.number not in numbers]
-    before = Before(result.map, result.map_labels, _untouched(result, new, config))
+    surfaces = _surfaces(result)
+    before = Before(result.map, result.map_labels, surfaces, _untouched(surfaces, new, config))
     scene = FittedScene(result.frame, config, generator(result.seed), result.seed, given=joint, before=before)
     updated = _clocked(scene)
     return replace(updated, notes=tuple(dict.fromkeys([*result.notes, *updated.notes])))
 
 
-def _untouched(
-    result: Reconstruction, new: Sequence[Observation], config: PipelineConfig
-) -> dict[int, Surface]:
-    """Surfaces, in the table frame, of objects that new views neither see nor look past: they stay."""
+def _surfaces(result: Reconstruction) -> dict[int, Surface]:
+    """The surfaces of all objects in the table frame, by label."""
     T_table_world = invert_rigid(result.T_world_table)
-    kept = {}
-    for item in result.objects:
-        vertices = transform(T_table_world, np.asarray(item.mesh.vertices))
-        if not any(touches(view, item.label, vertices, config.perception) for view in new):
-            mesh = trimesh.Trimesh(vertices, item.mesh.faces, process=False)
-            kept[item.label] = Surface(mesh, item.uncertainty)
-    return kept
+    fields = {field.label: field for field in result.fields}
+    return {
+        item.label: Surface(
+            trimesh.Trimesh(
+                transform(T_table_world, np.asarray(item.mesh.vertices)), item.mesh.faces, process=False
+            ),
+            item.uncertainty,
+            fields.get(item.label),
+        )
+        for item in result.objects
+    }
+
+
+def _untouched(
+    surfaces: Mapping[int, Surface], new: Sequence[Observation], config: PipelineConfig
+) -> frozenset[int]:
+    """Labels of objects that new views neither see nor look past: their surfaces stay."""
+    return frozenset(
+        label
+        for label, surface in surfaces.items()
+        if not any(touches(view, label, np.asarray(surface.mesh.vertices), config.perception) for view in new)
+    )
 
 
 def _first_view(frame: Frame, observation: Observation) -> View:
@@ -138,7 +152,7 @@ def deliver(scene: FittedScene) -> Reconstruction:
             continue
         vertices = np.asarray(surface.mesh.vertices)
         notes += beyond_its_mesh(item, vertices)
-        fields.append(_object_field(scene.field, index, item, vertices))
+        fields.append(surface.field or _object_field(scene.field, index, item, vertices))
         objects.append(_place(surface, item, index + 1, T_world_table))
     if not objects:
         raise DataError(f"{frame.source}: no object has volume at a spacing of {scene.config.mesh.spacing} m")

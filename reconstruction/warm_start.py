@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from mapping.contramap import ContraMap
 from perception.observation import NOTHING, OTHER
+from reconstruction.result import ObjectField
 from reconstruction.samples.training_set import TrainingSet
 
 SAME = 1e-4
@@ -23,20 +24,23 @@ SAME = 1e-4
 
 @dataclass(frozen=True)
 class Surface:
-    """One object's closed surface in the table frame. uncertainty: (V,) float32 p(uncertain) at vertices."""
+    """One object's closed surface in the table frame. uncertainty: (V,) float32 p(uncertain) at vertices;
+    field: the map it was taken from, where that is an earlier one."""
 
     mesh: trimesh.Trimesh
     uncertainty: np.ndarray
+    field: ObjectField | None = None
 
 
 @dataclass(frozen=True)
 class Before:
-    """A map that was fitted before. labels: of its columns, as Reconstruction.map_labels. kept: surfaces by
-    label that stay as they are."""
+    """A map that was fitted before. labels: of its columns, as Reconstruction.map_labels. surfaces: of its
+    objects, by label; kept: those of them that stay as they are, no view being new to them."""
 
     map: ContraMap
     labels: tuple[int, ...]
-    kept: Mapping[int, Surface] = field(default_factory=dict)
+    surfaces: Mapping[int, Surface] = field(default_factory=dict)
+    kept: frozenset[int] = frozenset()
 
     def weights(self, training: TrainingSet, labels: Sequence[int]) -> np.ndarray:
         """(H, C+1) float32: the earlier weights of each hinge point and class; 0 for new ones.

@@ -278,6 +278,23 @@ def test_an_object_that_a_view_does_not_show_keeps_its_mesh() -> None:
     assert len(updated.objects) == len(first.objects)
 
 
+def test_a_view_that_moves_nothing_leaves_meshes_as_they_are() -> None:
+    """Only their uncertainty is read anew; where the view shows another side, they are made again."""
+    known = mapped(0, 1, 2, 3)
+    again = known.update(shifted(views(5)[2], 0.0003, 0.0, 0.0))
+    same = [
+        item.label
+        for item in known
+        if np.array_equal(again[item.label].mesh.faces, item.mesh.faces)
+        and np.allclose(again[item.label].mesh.vertices, item.mesh.vertices, atol=1e-9)
+    ]
+    assert len(same) >= 2
+    for label in same:
+        assert abs(again[label].mean_uncertainty - known[label].mean_uncertainty) < 0.03
+    fresh = mapped(0).update(views(5)[1])
+    assert all(len(fresh[item.label].mesh.vertices) != len(item.mesh.vertices) for item in mapped(0))
+
+
 def test_many_views_are_kept_to_the_most_different() -> None:
     joint = observe_together([views(2)[0], views(2)[1], shifted(views(2)[1], 0.004, 0.0, 0.0)], ordered=True)
     assert len(joint.views) == 3

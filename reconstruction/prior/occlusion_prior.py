@@ -98,6 +98,7 @@ class OcclusionPrior:
         boxes = [ObjectBox.around(item, origin - lift) for item, lift in zip(visible, lifts)]
         lattices = np.empty((len(boxes), LATTICE_CHANNELS, *LATTICE), np.float32)
         bodies: list[Revolution] = [None] * len(boxes)  # type: ignore[list-item]
+        plans: dict[int, Footprint] = {}
 
         def look(index: int) -> None:
             around = evidence(boxes[index].lattice() + lifts[index], index)
@@ -118,7 +119,9 @@ class OcclusionPrior:
             if len(rows) == 0:
                 return
             local = local.T.take(rows, axis=1).T  # each axis stays in one piece
-            plan = Footprint.of(box, visible[index]).at(box, local)
+            if index not in plans:
+                plans[index] = Footprint.of(box, visible[index])
+            plan = plans[index].at(box, local)
             known = point_channels(
                 local,
                 evidence(points[rows], index),
@@ -136,13 +139,13 @@ class OcclusionPrior:
 
         with Threads() as threads:
             if memo and (self, "objects") in memo:
-                features, bodies = memo[self, "objects"]
+                features, bodies, plans = memo[self, "objects"]
             else:
                 threads.map(look, range(len(boxes)))
                 # A batch a thread: one object at a time costs five times as much.
                 features = torch.cat(threads.map(encode, threads.split(len(boxes))))
                 if memo is not None:
-                    memo[self, "objects"] = features, bodies
+                    memo[self, "objects"] = features, bodies, plans
             threads.map(decode, range(len(boxes)))
         return result
 

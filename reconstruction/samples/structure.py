@@ -29,6 +29,8 @@ OUTSIDE_WEIGHT = 0.02
 """How much it counts where the view measured nothing."""
 LEAST_WEIGHT = 1e-3
 """How much where it looks past the point: next to nothing."""
+LEAST_SHARE = 0.3
+"""A view is not asked where its guess counts less than this, as a share of the one that counts most."""
 LEAST_CHANCE = 1e-6
 """No guess is surer than this."""
 NOBODYS = -12.0
@@ -72,19 +74,29 @@ def _all_views(
     odds = np.zeros((len(points), len(place)), np.float32)
     total = np.full_like(odds, LEAST_WEIGHT)
     odds += LEAST_WEIGHT * NOBODYS
-    for seen, space in views:
-        guess = np.maximum(_objects(seen, space, config, points, again=True), LEAST_CHANCE)
-        region, behind = space.classify(points), space.depth_behind(points)
-        weight = HALF_KNOWN / (HALF_KNOWN + np.maximum(behind, 0))
-        weight[(region == Region.OUT_OF_VIEW) | np.isnan(behind)] = OUTSIDE_WEIGHT
-        weight[region == Region.FREE] = LEAST_WEIGHT
+    known = [_weight(space, points) for _, space in views]
+    enough = LEAST_SHARE * np.maximum.reduce(known)
+    for (seen, space), weight in zip(views, known):
+        asked = np.flatnonzero(weight >= enough)
+        guess = np.maximum(_objects(seen, space, config, points[asked], again=True), LEAST_CHANCE)
         columns = [place[item.label] for item in seen.objects]
-        weights = weight[:, None] * np.array([_area(item, space) for item in seen.objects], np.float32)
-        odds[:, columns] += weights * np.log(guess[:, 1:] / guess[:, :1])
-        total[:, columns] += weights
+        areas = np.array([_area(item, space) for item in seen.objects], np.float32)
+        weights = weight[asked, None] * areas
+        cells = np.ix_(asked, np.array(columns))
+        odds[cells] += weights * np.log(guess[:, 1:] / guess[:, :1])
+        total[cells] += weights
     odds = np.column_stack([np.zeros(len(points), np.float32), odds / total])
     shares = np.exp(odds - odds.max(1, keepdims=True))
     return np.asarray(shares / shares.sum(1, keepdims=True), np.float32)
+
+
+def _weight(space: Space, points: np.ndarray) -> np.ndarray:
+    """How much a view's guess counts at points (N, 3): (N,)."""
+    region, behind = space.classify(points), space.depth_behind(points)
+    weight = HALF_KNOWN / (HALF_KNOWN + np.maximum(behind, 0))
+    weight[(region == Region.OUT_OF_VIEW) | np.isnan(behind)] = OUTSIDE_WEIGHT
+    weight[region == Region.FREE] = LEAST_WEIGHT
+    return weight
 
 
 def _area(item: ObservedObject, space: Space) -> float:
