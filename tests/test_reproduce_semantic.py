@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from test_multiscale import street
 
 from mapping.errors import ConfigError, DataError
 from tools.cli import main
-from tools.reproduce.semantic.protocols import BLOCK, make_case, mislabel
+from tools.reproduce.semantic.protocols import BLOCK, has_protocol, make_case, mislabel
 from tools.reproduce.semantic.run import miou, run_semantic
 from tools.reproduce.semantic.scenes import load_scene
 
@@ -63,6 +64,20 @@ def test_blocks_are_held_out_whole(data):
     asked = {tuple(cell) for cell in np.floor(case.X_test / BLOCK).astype(int)}
     assert asked
     assert not trained & asked
+
+
+def test_the_last_scan_is_asked_of_the_first_and_of_all_before_it(data):
+    scene = load_scene(data, "semantickitti", "00")
+    assert has_protocol(scene, "next")
+    assert not has_protocol(scene, "merged")
+    scene = replace(scene, following=scene.following + scene.first)
+    for protocol, count in (
+        ("last", len(scene.X)),
+        ("merged", len(scene.X) + len(scene.following[0].points)),
+    ):
+        case = make_case(scene, protocol, np.random.default_rng(0))
+        assert len(case.X) == len(case.y) == count
+        np.testing.assert_array_equal(np.sort(case.X_test, 0), np.sort(scene.first[0].points, 0))
 
 
 def test_unobserved_places_are_far_from_returns_and_beams(data):

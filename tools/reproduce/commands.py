@@ -118,7 +118,8 @@ def semantic(
         data: Folder of the data set: sequences/00/velodyne ... for semantickitti; scenenet/ or aws_worlds/.
         out: Folder for runs and table; a command that was cut off goes on there.
         dataset: semantickitti, scenenet or house.
-        protocols: points, blocks, next, labels10 to labels40, patches10 to patches40; all when left out.
+        protocols: points, blocks, next, last, merged (last scan, from one and all before), labels10 to
+            labels40, patches10 to patches40; all when left out.
         methods: contramap, hilbert, nearest, vote, voxel; all when left out.
         sequences: Sequences of semantickitti, such as 00 03; 00 to 09 when left out.
         seed: First seed.

@@ -5,7 +5,7 @@ Knows scenes of labelled points; must not know methods.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -15,12 +15,13 @@ from perception.labelled_cloud import LabelledCloud
 from tools.reproduce.semantic.scenes import Scene
 
 PROTOCOLS = (
-    *("points", "blocks", "next"),
+    *("points", "blocks", "next", "last", "merged"),
     *("labels10", "labels20", "labels30", "labels40"),
     *("patches10", "patches20", "patches30", "patches40"),
 )
-"""(a) a tenth of the points held out; (b) whole blocks; (c) the next scans; (d) so many per cent of the
-labels wrong, at random or patch by patch."""
+"""(a) a tenth of the points held out; (b) whole blocks; (c) the next scans, or the last of them alone, asked
+of the map of the first, and the last one asked of one map of all scans before it; (d) so many per cent of
+the labels wrong, at random or patch by patch."""
 HELD_OUT = 0.1
 BLOCK = 2.0
 """Side of the blocks that are held out whole [m]."""
@@ -48,18 +49,21 @@ class Case:
 
 def has_protocol(scene: Scene, protocol: str) -> bool:
     """Whether a scene can be measured so: the next scans must be there."""
-    return protocol != "next" or bool(scene.following)
+    return len(scene.following) >= {"next": 1, "last": 2, "merged": 2}.get(protocol, 0)
 
 
 def make_case(scene: Scene, protocol: str, rng: np.random.Generator) -> Case:
     """Split a scene by a protocol. Raises ConfigError for an unknown one."""
     if protocol not in PROTOCOLS:
         raise ConfigError(f"protocol {protocol!r}: choose from {', '.join(PROTOCOLS)}")
+    if protocol == "merged":
+        scene = replace(scene, first=scene.first + scene.following[:-1])
     X, y = scene.X, scene.y
     unobserved = unobserved_places(scene.first, MOST_UNOBSERVED, rng)
-    if protocol == "next":
-        X_test = np.concatenate([cloud.points for cloud in scene.following])
-        y_test = np.concatenate([cloud.labels for cloud in scene.following])
+    if protocol in ("next", "last", "merged"):
+        asked = scene.following if protocol == "next" else scene.following[-1:]
+        X_test = np.concatenate([cloud.points for cloud in asked])
+        y_test = np.concatenate([cloud.labels for cloud in asked])
         some = rng.permutation(len(X_test))[:MOST_TEST]
         return Case(X, y, X_test[some], y_test[some], unobserved)
     held = held_out_blocks(X, rng) if protocol == "blocks" else rng.random(len(X)) < HELD_OUT
