@@ -20,6 +20,7 @@ from tools.occupancy.command import occupancy
 from tools.reproduce import commands as reproduced
 from tools.scaling import scaling
 from tools.semantic.command import semantic
+from tools.semantic.scaling import semantic_scaling
 from tools.serve import serve
 from tools.serving.benchmark import serve_benchmark
 from tools.simulate import fetch_ycb, scenes
@@ -38,7 +39,8 @@ def fetch() -> None:
 
 
 def benchmark() -> None:
-    """Time the pipeline, or try its grasps: `contramap benchmark latency | scaling | serve | grasps`."""
+    """Time the pipeline, or try its grasps: `contramap benchmark latency | scaling | semantic | serve |
+    grasps`."""
 
 
 def reproduce() -> None:
@@ -63,7 +65,13 @@ COMMANDS: dict[str, Command] = {
 }
 GROUPS: dict[str, dict[str, Command]] = {
     "fetch": {"ycb": fetch_ycb},
-    "benchmark": {"latency": latency, "scaling": scaling, "serve": serve_benchmark, "grasps": grasps},
+    "benchmark": {
+        "latency": latency,
+        "scaling": scaling,
+        "semantic": semantic_scaling,
+        "serve": serve_benchmark,
+        "grasps": grasps,
+    },
     "reproduce": {
         "toy": reproduced.toy,
         "occupancy": reproduced.occupancy,

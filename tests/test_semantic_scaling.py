@@ -1,0 +1,54 @@
+"""Curves of time and memory of semantic maps: exponents, streets, the command on small numbers."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from tools.cli import main
+from tools.semantic.scaling import city, exponents, streets
+
+
+def test_exponents_are_the_slopes_between_rows():
+    rows = [
+        {"samples": n, "steps": 10, "fit_cpu_s": n**1.5, "query_cpu_s": 2.0, "memory_mb": 3.0 * n}
+        for n in (10, 100, 1000)
+    ]
+    found = exponents([*rows, {"samples": 10**4, "skipped": "out of memory"}], "samples")
+    assert found["fit_cpu_s"] == pytest.approx(1.5)
+    assert found["fit_cpu_s_steepest"] == pytest.approx(1.5)
+    assert found["query_cpu_s"] == pytest.approx(0.0)
+    assert found["memory_mb"] == pytest.approx(1.0)
+    assert exponents(rows[:1], "samples") == {}
+
+
+def test_streets_have_what_they_are_asked_for():
+    X, y = streets(2000, 30.0, np.random.default_rng(0))
+    assert X.shape == (2000, 3)
+    assert (np.bincount(y) > 20).all()
+    assert np.abs(X[y == 0, 2]).max() < 0.1
+    assert len(np.unique(X[y == 1, 1])) == 3
+
+
+def test_a_city_takes_as_much_more_as_it_has_more_points():
+    row = {"samples": 1e6, "fit_cpu_s": 36.0, "memory_mb": 500.0, "map_mb": 1.0}
+    found = city(row)
+    assert found["cpu_hours"] == pytest.approx(100 * (70 / 60) ** 2)
+    assert found["worker_mb_a_million"] == pytest.approx(500)
+
+
+@pytest.mark.slow
+def test_the_command_writes_table_and_figures(tmp_path):
+    assert main(["benchmark", "semantic", "--out", str(tmp_path), "--samples", "200", "--scales", "2"]) == 0
+    figures = json.loads((tmp_path / "scaling.json").read_text())
+    (row,) = figures["together"]["rows"]
+    assert row["samples"] == 200
+    assert row["hinges"] > 50
+    assert "processor hours" in (tmp_path / "table.md").read_text()
+
+
+def test_too_few_samples_are_refused(tmp_path, capsys):
+    assert main(["benchmark", "semantic", "--out", str(tmp_path), "--samples", "3"]) == 2
+    assert "at least 100" in capsys.readouterr().err
