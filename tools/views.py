@@ -32,7 +32,7 @@ METRICS = ("chamfer_mm", "fscore_5mm", "iou_2_5mm", "agreement", "uncertainty", 
 
 
 def main(
-    scenes: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
+    scenes: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
     views: tuple[int, ...] = (1, 2, 3, 5),
     methods: tuple[str, ...] = ("contramap", "tsdf", "union"),
     wrong: Annotated[float, tyro.conf.arg(metavar="M")] = 0.02,
@@ -45,13 +45,14 @@ def main(
     """Judge maps of several views.
 
     Args:
-        scenes: Scenes with truth and views, as `contramap scenes --views V` makes them.
+        scenes: Folders of scenes with truth and views, as `contramap scenes --views V` makes them; a table
+            for each.
         views: Numbers of views.
         methods: contramap, tsdf (masked depth fused by Open3D), union (of single-view meshes).
         wrong: Also map the most views with one pose wrong by this much, and without that view; 0: do not [m].
         pose_noise: Also map the most views with all poses but the first wrong by up to this much each [m];
             200 degrees a metre go with it: 2 at 10 mm.
-        limit: Scenes judged, at most.
+        limit: Scenes judged of each folder, at most.
         ycb: Folder of YCB scans, for scenes made of them.
         out: Also write the table to this Markdown file.
         json: Also write the figures to this file after each line; those that it has are not judged again.
@@ -67,11 +68,13 @@ def main(
         raise ConfigError(
             f"--methods are {', '.join(METHODS)}, --views are 1 or more; got {unknown or views}"
         )
-    folders = sorted(path.parent for path in Path(scenes).glob(f"*/{TRUTH_FILE}"))[:limit]
-    if not folders:
-        raise ConfigError(
-            f"{scenes}: no scenes here; `contramap scenes {scenes} --views {max(views)}` makes some"
-        )
+    sets = {part: sorted(path.parent for path in part.glob(f"*/{TRUTH_FILE}"))[:limit] for part in scenes}
+    for part, found in sets.items():
+        if not found:
+            raise ConfigError(
+                f"{part}: no scenes here; `contramap scenes {part} --views {max(views)}` makes some"
+            )
+    folders = [folder for found in sets.values() for folder in found]
     rows = _judged_before(json)
     done = {(row["folder"], row["method"], row["views"]) for row in rows}
     progress = tqdm(folders, desc="scenes")
@@ -87,10 +90,15 @@ def main(
             found = judge(replace(scene, frames=frames), key[0])
             rows += [{"folder": place, "method": key[0], "views": key[1], **row} for row in found]
             write_json({"rows": rows}, json)
-    wanted = {str(folder.resolve()) for folder in folders}
-    rows = [row for row in rows if row["folder"] in wanted and (row["method"], row["views"]) in asked]
+    rows = [row for row in rows if (row["method"], row["views"]) in asked]
     rows.sort(key=lambda row: asked.index((row["method"], row["views"])))
-    text = table(rows, len({row["folder"] for row in rows}))
+    parts = []
+    for part, found_scenes in sets.items():
+        wanted = {str(folder.resolve()) for folder in found_scenes}
+        own = [row for row in rows if row["folder"] in wanted]
+        head = f"## {part.resolve().name}\n\n" if len(sets) > 1 else ""
+        parts.append(head + table(own, len({row["folder"] for row in own})))
+    text = "\n".join(parts)
     print(text)
     if out is not None:
         write_atomically(out, (HEAD + text).encode())
@@ -147,7 +155,8 @@ def frames_of(scene: ManyViews, name: str) -> list[Frame]:
 
 
 def load_scene(folder: Path, count: int, ycb: Path | None = None) -> ManyViews:
-    """A scene folder's first `count` views and its truth. Raises ConfigError when it has fewer."""
+    """A scene folder's views and its truth, in the order in which they are added: each farthest from those
+    before it. Raises ConfigError when it has fewer than `count`."""
     from perception.frame_io import load_frame
     from reconstruction.solid import Solid
     from sim_scenes.truth import load_truth
@@ -155,12 +164,25 @@ def load_scene(folder: Path, count: int, ycb: Path | None = None) -> ManyViews:
     truth = load_truth(folder, ycb)
     if len(truth.views) < count:
         raise ConfigError(f"{folder}: has {len(truth.views)} views; make scenes with --views {count}")
-    frames = [load_frame(view) for view in truth.views[:count]]
+    frames = farthest_first([load_frame(view) for view in truth.views])[:count]
     labels = frames[0].labels
     assert labels is not None
     pixels = np.bincount(labels.ravel(), minlength=max(truth.meshes) + 1)
     judged = {label: Solid(mesh) for label, mesh in truth.meshes.items() if pixels[label] >= LEAST_PIXELS}
     return ManyViews(folder.name, frames, judged)
+
+
+def farthest_first(frames: Sequence[Frame]) -> list[Frame]:
+    """Frames in an order that starts with the first and goes on with the one taken farthest from those that
+    went before: of a circle of eight, five leave no side out."""
+    places = np.stack([frame.camera.T_world_camera[:3, 3] for frame in frames])
+    apart = np.linalg.norm(places[:, None] - places, axis=2)
+    order = [0]
+    while len(order) < len(frames):
+        nearest = apart[order].min(0)
+        nearest[order] = -1
+        order.append(int(nearest.argmax()))
+    return [frames[index] for index in order]
 
 
 def judge(scene: ManyViews, method: str) -> list[dict[str, Any]]:
@@ -225,8 +247,8 @@ def posed(frame: Frame, T: np.ndarray) -> Frame:
 HEAD = """# Several views
 
 `python -m tools.views SCENES --out docs/results/views.md`: means over the objects that show at least 200
-pixels in the first view. Chamfer and F-score on 10,000 samples, IoU on a 2.5 mm grid, agreement within 3 mm
-over the views used, uncertainty: mean p(uncertain) at vertices, occlusion_auroc: how well p(uncertain) tells
+pixels in the first view. Each view that is added is the one taken farthest from those before. Chamfer and
+F-score on 10,000 samples, IoU on a 2.5 mm grid, agreement within 3 mm over the views used, uncertainty: mean p(uncertain) at vertices, occlusion_auroc: how well p(uncertain) tells
 space that no view has seen from the rest, seconds a scene. "view 2 ... off": its pose is wrong by so much;
 "all to ... off": every view but the first is said to be elsewhere, by up to so much each, and turned by up
 to 0.2 degrees a millimetre.
