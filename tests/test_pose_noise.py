@@ -18,7 +18,7 @@ from reconstruction import reconstruct
 from sim_scenes.dataset import _misstate_poses
 from sim_scenes.pose_noise import check_pose_noise, noisy_pose
 from tools.looking_around import VOXEL, World, rear_sides, table
-from tools.views import posed
+from tools.views import farthest_first, posed
 
 
 def error_of(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
@@ -100,3 +100,18 @@ def test_the_table_says_when_looking_has_done_what_the_circle_does() -> None:
     text = table([curve] * 7, 3)
     assert "leaves after 3 views, look leaves after 2 views" in text
     assert "less than circle in 7 of 7 scenes" in text
+
+
+def test_views_are_added_farthest_first() -> None:
+    """Of a circle of eight, the second is opposite to the first, the next two halve what is left."""
+    frame = make_tabletop(size=(32, 24)).frame
+    frames = []
+    for angle in np.arange(8) * (2 * np.pi / 8):
+        T = np.eye(4)
+        T[:3, 3] = 0.6 * np.cos(angle), 0.6 * np.sin(angle), 0.5
+        frames.append(posed(frame, T))
+    places = [id(one) for one in frames]
+    order = [places.index(id(one)) for one in farthest_first(frames)]
+    assert order[:2] == [0, 4]
+    assert sorted(order[2:4]) == [2, 6]
+    assert sorted(order) == list(range(8))

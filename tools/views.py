@@ -68,6 +68,8 @@ def main(
         raise ConfigError(
             f"--methods are {', '.join(METHODS)}, --views are 1 or more; got {unknown or views}"
         )
+    if not scenes:
+        raise ConfigError("name a folder of scenes; `contramap scenes DIR --views 5` makes some")
     sets = {part: sorted(path.parent for path in part.glob(f"*/{TRUTH_FILE}"))[:limit] for part in scenes}
     for part, found in sets.items():
         if not found:
@@ -248,8 +250,9 @@ HEAD = """# Several views
 
 `python -m tools.views SCENES --out docs/results/views.md`: means over the objects that show at least 200
 pixels in the first view. Each view that is added is the one taken farthest from those before. Chamfer and
-F-score on 10,000 samples, IoU on a 2.5 mm grid, agreement within 3 mm over the views used, uncertainty: mean p(uncertain) at vertices, occlusion_auroc: how well p(uncertain) tells
-space that no view has seen from the rest, seconds a scene. "view 2 ... off": its pose is wrong by so much;
+F-score on 10,000 samples, IoU on a 2.5 mm grid, agreement within 3 mm over the views used, uncertainty: mean
+p(uncertain) at vertices, occlusion_auroc: how well p(uncertain) tells space that no view has seen from the
+rest, seconds a scene. "view 2 ... off": its pose is wrong by so much;
 "all to ... off": every view but the first is said to be elsewhere, by up to so much each, and turned by up
 to 0.2 degrees a millimetre.
 
