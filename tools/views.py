@@ -71,12 +71,12 @@ def main(
     if not scenes:
         raise ConfigError("name a folder of scenes; `contramap scenes DIR --views 5` makes some")
     sets = {part: sorted(path.parent for path in part.glob(f"*/{TRUTH_FILE}"))[:limit] for part in scenes}
-    for part, found in sets.items():
-        if not found:
+    for part, of_set in sets.items():
+        if not of_set:
             raise ConfigError(
                 f"{part}: no scenes here; `contramap scenes {part} --views {max(views)}` makes some"
             )
-    folders = [folder for found in sets.values() for folder in found]
+    folders = [folder for of_set in sets.values() for folder in of_set]
     rows = _judged_before(json)
     done = {(row["folder"], row["method"], row["views"]) for row in rows}
     progress = tqdm(folders, desc="scenes")
@@ -95,8 +95,8 @@ def main(
     rows = [row for row in rows if (row["method"], row["views"]) in asked]
     rows.sort(key=lambda row: asked.index((row["method"], row["views"])))
     parts = []
-    for part, found_scenes in sets.items():
-        wanted = {str(folder.resolve()) for folder in found_scenes}
+    for part, of_set in sets.items():
+        wanted = {str(folder.resolve()) for folder in of_set}
         own = [row for row in rows if row["folder"] in wanted]
         head = f"## {part.resolve().name}\n\n" if len(sets) > 1 else ""
         parts.append(head + table(own, len({row["folder"] for row in own})))
