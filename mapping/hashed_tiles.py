@@ -50,9 +50,14 @@ so many times the nodes that one of them has in reach, or is so many times as lo
 def features_in_tiles(X: np.ndarray, hinges: HashedHinges) -> TiledFeatures:
     """Features of points (N, 3), times their shape's amplitude; `strongest` is without it."""
     parts = map_in_threads(lambda rows: _compact_tiles(X, rows, hinges), _parts(_order_of(X)))
-    orders, tiles, strongest = zip(*parts)
-    # As few shares as there are threads: each has a derivative of its own.
-    shares = [_joined(tiles[some]) for some in Threads().split(len(tiles))]
+    orders, strongest = ([part[k] for part in parts] for k in (0, 2))
+    # As few shares as there are threads: each has a derivative of its own. What is joined is let go.
+    tiles, shares = [part[1] for part in parts], []
+    del parts
+    for some in reversed(Threads().split(len(tiles))):
+        shares.append(_joined(tiles[some]))
+        del tiles[some]
+    shares.reverse()
     return TiledFeatures(np.concatenate(orders), np.concatenate(strongest), shares, int(hinges.first[-1]))
 
 
@@ -92,14 +97,14 @@ def _answer(
 
 
 def _order_of(X: np.ndarray) -> np.ndarray:
-    """Indices (N,) of points, those in a block following each other."""
+    """Indices (N,) int32 of points, those in a block following each other."""
     if len(X) <= ROWS:
-        return np.arange(len(X))
+        return np.arange(len(X), dtype=np.int32)
     low = np.floor(X.min(axis=0) / BLOCK)
     sides = np.floor(X.max(axis=0) / BLOCK) - low + 1
     if np.prod(sides, dtype=float) <= CELLS * len(X):  # counted, which takes a fraction of sorting
         return _counted_order(X, low, sides.astype(np.int64))
-    return np.argsort(cell_numbers(np.floor(X / BLOCK) - low), kind="stable")
+    return np.argsort(cell_numbers(np.floor(X / BLOCK) - low), kind="stable").astype(np.int32)
 
 
 @compiled
@@ -112,7 +117,7 @@ def _counted_order(X: np.ndarray, low: np.ndarray, sides: np.ndarray) -> np.ndar
         first[block[i] + 1] += 1
     for k in range(1, len(first)):
         first[k] += first[k - 1]
-    order = np.empty(len(X), np.int64)
+    order = np.empty(len(X), np.int32)
     for i in range(len(X)):
         order[first[block[i]]] = i
         first[block[i]] += 1
