@@ -14,7 +14,7 @@ from reconstruction.surface.refined import values_at
 from reconstruction.surface.revolved import RevolvedEdges
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
 from reconstruction.surface.seen_surface import SeenSurface
-from reconstruction.surface.unseen_walls import MOST_HIDDEN, MOST_OF_ROUND, with_unseen_walls
+from reconstruction.surface.unseen_walls import with_unseen_walls
 
 RULED_OUT = -4.0
 """Where its log odds are below this, the map is sure that a node is not of the object, seen cell or not."""
@@ -60,8 +60,7 @@ def extract_mesh(
         return None
     if edges is not None and seen is not None and config.fusion.unseen_walls and solid.has_tunnel:
         first = corner + field.spacing * start
-        most = MOST_OF_ROUND if known else MOST_HIDDEN
-        walled = with_unseen_walls(log_odds, first, spacing, edges, seen, most)
+        walled = with_unseen_walls(log_odds, first, spacing, edges, seen)
         if walled is not None:
             solid = ClosedSolid.of(walled, config.smallest_part, cells) or solid
     vertices, faces = solid.surface()

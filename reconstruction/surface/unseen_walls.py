@@ -10,6 +10,7 @@ import numpy as np
 from mapping.compiled import compiled
 from reconstruction.surface.field import OUTSIDE, extent
 from reconstruction.surface.fusion import PER_METRE, places
+from reconstruction.surface.hull_nodes import in_hull
 from reconstruction.surface.joint_surface import JointEdges
 from reconstruction.surface.neighbours import beside, nodes_off, smoothed
 from reconstruction.surface.reading import FAR, Reading
@@ -30,9 +31,10 @@ HELD = 0.3
 """Log odds that hold a wall together where smoothing would open it."""
 SMOOTH = 1.0
 """Standard deviation of the smoothing of new walls [nodes]."""
-MOST_HIDDEN, MOST_OF_ROUND = 60_000, 150_000
-"""Objects with more hidden nodes keep their tunnels: a heap or a chain of that size has tunnels that nobody
-saw. Bodies of revolution have none, and keep theirs only because of the time that so many nodes take."""
+MOST_HIDDEN = 150_000
+"""Objects with more hidden nodes keep their tunnels, because of the time that so many nodes take."""
+AROUND = 6
+"""Nodes around walls that they change: as far as they are smoothed."""
 FEW = 16
 """One node in so many tells whether there are more than that."""
 _GRAZED, _FAR = np.float32(GRAZED), np.float32(FAR)
@@ -59,9 +61,8 @@ def with_unseen_walls(
     values = np.full([part.stop - part.start + 2 for part in box], OUTSIDE, np.float32)
     values[1:-1, 1:-1, 1:-1] = log_odds[box]
     solid = values > 0
-    empty = np.zeros(values.shape, bool)
-    np.logical_not(solid[1:-1, 1:-1, 1:-1], out=empty[1:-1, 1:-1, 1:-1])
-    nodes = np.flatnonzero(empty)
+    # A wall across a tunnel lies within the solid's hull.
+    nodes = np.flatnonzero(in_hull(solid) & ~solid)
     lattice = values.shape, corner + spacing * first, spacing
     if len(nodes) > most_hidden:
         few = np.count_nonzero(~np.isnan(_unpassed(places(nodes[::FEW], *lattice), edges, seen)))
@@ -72,12 +73,16 @@ def with_unseen_walls(
     likely = np.clip(values, LEAST, 0)
     likely -= np.float32(FARTHER) * np.clip(nodes_off(solid) - 1, 0, REACH)
     wall = membranes(solid, ~np.isnan(reach), likely)
-    if not wall.any():
+    around = extent(wall)
+    if around is None:
         return None
-    level = np.clip(values, BESIDE, WITHIN)
-    level[~(solid | beside(beside(wall)))] = BESIDE
-    level[wall] = WITHIN
-    _add_walls(values.reshape(-1), smoothed(level, SMOOTH).reshape(-1), wall.reshape(-1), reach.reshape(-1))
+    looked_at = tuple(slice(max(s.start - AROUND, 0), s.stop + AROUND) for s in around)
+    near_wall, level = wall[looked_at], np.clip(values[looked_at], BESIDE, WITHIN)
+    level[~(solid[looked_at] | beside(beside(near_wall)))] = BESIDE
+    level[near_wall] = WITHIN
+    raised = np.ascontiguousarray(values[looked_at])
+    _add_walls(raised, smoothed(level, SMOOTH), near_wall, reach[looked_at])
+    values[looked_at] = raised
     result = log_odds.copy()
     result[box] = values[1:-1, 1:-1, 1:-1]
     return result
@@ -85,14 +90,17 @@ def with_unseen_walls(
 
 @compiled
 def _add_walls(values: np.ndarray, level: np.ndarray, wall: np.ndarray, reach: np.ndarray) -> None:
-    """Raise values (N,) to a level (N,), no farther than they reach (N,) before what was measured: no part of
-    a new wall is where rays passed, NaN."""
-    for node in range(len(values)):
-        if not np.isnan(reach[node]):
-            new = min(level[node], reach[node])
-            if wall[node]:
-                new = max(new, np.float32(HELD))
-            values[node] = max(values[node], new)
+    """Raise values to a level, no farther than they reach before what was measured: no part of a new wall is
+    where rays passed, NaN. All (nx, ny, nz)."""
+    nx, ny, nz = values.shape
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                if not np.isnan(reach[i, j, k]):
+                    new = min(level[i, j, k], reach[i, j, k])
+                    if wall[i, j, k]:
+                        new = max(new, np.float32(HELD))
+                    values[i, j, k] = max(values[i, j, k], new)
 
 
 def _unpassed(points: np.ndarray, edges: Edges | JointEdges, seen: np.ndarray) -> np.ndarray:
