@@ -61,39 +61,19 @@ def features_in_tiles(X: np.ndarray, hinges: HashedHinges) -> TiledFeatures:
     return TiledFeatures(np.concatenate(orders), np.concatenate(strongest), shares, int(hinges.first[-1]))
 
 
-def logits_at(X: np.ndarray, hinges: HashedHinges, W: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """offset (C,) + features times amplitude times W (H, C), at points (N, 3): (N, C) float32."""
-    out = np.empty((len(X), len(offset)), np.float32)
-    _answer(X, hinges, W, offset, False, np.arange(len(offset)), out)
-    return out
-
-
 def shares_at(
     X: np.ndarray, hinges: HashedHinges, W: np.ndarray, offset: np.ndarray, columns: np.ndarray, count: int
 ) -> np.ndarray:
-    """The logits' softmax at points (N, 3), class by class in columns (C,) of (N, count) float32, 0 in the
-    others."""
-    out = np.zeros((len(X), count), np.float32)
-    _answer(X, hinges, W, offset, True, columns, out)
-    return out
-
-
-def _answer(
-    X: np.ndarray,
-    hinges: HashedHinges,
-    W: np.ndarray,
-    offset: np.ndarray,
-    shares: bool,
-    columns: np.ndarray,
-    out: np.ndarray,
-) -> None:
-    weights = flat(W)
+    """Softmax of offset (C,) + features times amplitude times W (H, C), at points (N, 3): class by class in
+    columns (C,) of (N, count) float32, 0 in the others."""
+    out, weights = np.zeros((len(X), count), np.float32), flat(W)
 
     def answer(rows: np.ndarray) -> None:
         order, tiles, _ = _compact_tiles(X, rows, hinges)
-        answer_tiles(tiles, weights, offset, shares, order, columns, out)
+        answer_tiles(tiles, weights, offset, order, columns, out)
 
     map_in_threads(answer, _parts(_order_of(X)))
+    return out
 
 
 def _order_of(X: np.ndarray) -> np.ndarray:

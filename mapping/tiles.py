@@ -153,28 +153,26 @@ def answer_tiles(
     tiles: Tiles,
     W: np.ndarray,
     offset: np.ndarray,
-    shares: bool,
     order: np.ndarray,
     columns: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Write the logits of rows, or their softmax where shares are asked for, to out: class c of row i goes to
-    out[order[i], columns[c]]. W and offset: as in `cross_entropy`."""
+    """Write the softmax of rows' logits to out: class c of row i goes to out[order[i], columns[c]]. W and
+    offset: as in `cross_entropy`."""
     classes = len(offset)
     logits = np.empty(-(-classes // LANES) * LANES * LANES, np.float32)
     for t in range(len(tiles.starts) - 1):
         _logits(tiles, tiles.starts[t], tiles.starts[t + 1], W, offset, logits)
-        if shares:
-            highest = load(logits, 0)
-            for c in range(1, classes):
-                highest = larger(highest, load(logits, c * LANES))
-            total = every(np.float32(0))
-            for c in range(classes):
-                power = exponential(minus(load(logits, c * LANES), highest))
-                store(logits, c * LANES, power)
-                total = plus(total, power)
-            for c in range(classes):
-                store(logits, c * LANES, over(load(logits, c * LANES), total))
+        highest = load(logits, 0)
+        for c in range(1, classes):
+            highest = larger(highest, load(logits, c * LANES))
+        total = every(np.float32(0))
+        for c in range(classes):
+            power = exponential(minus(load(logits, c * LANES), highest))
+            store(logits, c * LANES, power)
+            total = plus(total, power)
+        for c in range(classes):
+            store(logits, c * LANES, over(load(logits, c * LANES), total))
         for lane in range(min(LANES, len(order) - LANES * t)):
             row = order[LANES * t + lane]
             for c in range(classes):

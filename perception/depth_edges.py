@@ -67,7 +67,7 @@ def _drop_remnants(depth: np.ndarray, linear: np.float32, square: np.float32) ->
     """NaN where a pixel of depth (H, W) joins at most FEW of the eight around it, and within REACH pixels
     both a nearer and a farther one are a jump away."""
     height, width = depth.shape
-    found = [0 for _ in range(0)]
+    found = [0 for _ in range(0)]  # no pixels yet, but of a known type
     for row in range(height):
         for column in range(width):
             own = depth[row, column]

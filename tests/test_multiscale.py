@@ -8,10 +8,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
+from scipy.special import softmax
 
 from mapping.errors import ConfigError, DataError
 from mapping.hashed_hinges import filled_nodes, hinges_at
-from mapping.hashed_tiles import features_in_tiles, logits_at
+from mapping.hashed_tiles import features_in_tiles, shares_at
 from mapping.kernels import blocks, dense_features
 from mapping.label_noise import disagreement, true_labels, wrong_label_share
 from mapping.multiscale import MultiscaleConfig, MultiscaleMap, cells_around, noise_around
@@ -75,7 +76,10 @@ def test_hashed_features_are_the_dense_ones():
     np.testing.assert_allclose(strongest, phi.max(1), atol=4e-3)
     W = RNG.normal(size=(phi.shape[1], 4)).astype(np.float32)
     offset = np.arange(4, dtype=np.float32)
-    np.testing.assert_allclose(logits_at(asked, hinges, W, offset), found @ W + offset, atol=1e-4)
+    want = np.zeros((len(asked), 6))
+    want[:, [5, 0, 2, 3]] = softmax(found @ W + offset, axis=1)
+    got = shares_at(asked, hinges, W, offset, np.array([5, 0, 2, 3]), 6)
+    np.testing.assert_allclose(got, want, atol=1e-5)
 
 
 def test_an_answer_does_not_depend_on_what_else_is_asked(fitted):

@@ -77,6 +77,18 @@ def read_points(points: np.ndarray, image: Image, outline: Outline) -> tuple[np.
 
 
 @compiled
+def _pixel_of(
+    x: float, y: float, z: float, A: np.ndarray, b: np.ndarray
+) -> tuple[float, float, float, int, int]:
+    """How far before the camera a point is [m], where its image is [px], and the nearest row and column."""
+    away = max(A[2, 0] * x + A[2, 1] * y + A[2, 2] * z + b[2], NEAREST)
+    u = (A[0, 0] * x + A[0, 1] * y + A[0, 2] * z + b[0]) / away
+    v = (A[1, 0] * x + A[1, 1] * y + A[1, 2] * z + b[1]) / away
+    row, column = int(np.rint(min(max(v, -BEYOND), BEYOND))), int(np.rint(min(max(u, -BEYOND), BEYOND)))
+    return away, u, v, row, column
+
+
+@compiled
 def faced(points: np.ndarray, image: Image, own: int) -> tuple[np.ndarray, np.ndarray]:
     """Of what object `own` shows on the ray through each of points (N, 3) float32 [m]: the normal (N, 3) away
     from the camera, 0 where it shows nothing there, and how far the point is behind it (N,) [m], 0 there."""
@@ -85,11 +97,7 @@ def faced(points: np.ndarray, image: Image, own: int) -> tuple[np.ndarray, np.nd
     normals, behind = np.zeros((len(points), 3), np.float32), np.zeros(len(points), np.float32)
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        away = max(A[2, 0] * x + A[2, 1] * y + A[2, 2] * z + b[2], NEAREST)
-        u = (A[0, 0] * x + A[0, 1] * y + A[0, 2] * z + b[0]) / away
-        v = (A[1, 0] * x + A[1, 1] * y + A[1, 2] * z + b[1]) / away
-        column = int(np.rint(min(max(u, -BEYOND), BEYOND)))
-        row = int(np.rint(min(max(v, -BEYOND), BEYOND)))
+        _, _, _, row, column = _pixel_of(x, y, z, A, b)
         if 0 <= column < columns and 0 <= row < rows and owners[row, column] == own:
             plane = planes[row * columns + column]
             normals[i] = plane[:3]
@@ -113,11 +121,7 @@ def read_into(
     _, height, width = nearest.shape
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        away = max(A[2, 0] * x + A[2, 1] * y + A[2, 2] * z + b[2], NEAREST)
-        u = (A[0, 0] * x + A[0, 1] * y + A[0, 2] * z + b[0]) / away
-        v = (A[1, 0] * x + A[1, 1] * y + A[1, 2] * z + b[1]) / away
-        column = int(np.rint(min(max(u, -BEYOND), BEYOND)))
-        row = int(np.rint(min(max(v, -BEYOND), BEYOND)))
+        away, u, v, row, column = _pixel_of(x, y, z, A, b)
         owner, behind = NOT_MEASURED, _FAR
         if 0 <= column < columns and 0 <= row < rows:
             owner = owners[row, column]

@@ -46,12 +46,11 @@ def with_unseen_walls(
     spacing: float,
     edges: Edges | JointEdges,
     seen: np.ndarray,
-    most_hidden: int = MOST_HIDDEN,
 ) -> np.ndarray | None:
     """The log odds (nx, ny, nz) of one object with walls across tunnels that no ray passed; None without any.
 
     Lattice at corner + spacing * (i, j, k) [m, table frame]; edges: of the object's image; seen: (N, 3)
-    measured points of it [m]; most_hidden: nodes, with more of which tunnels stay.
+    measured points of it [m].
     """
     box = extent(log_odds)
     if box is None:
@@ -64,9 +63,9 @@ def with_unseen_walls(
     # A wall across a tunnel lies within the solid's hull.
     nodes = np.flatnonzero(in_hull(solid) & ~solid)
     lattice = values.shape, corner + spacing * first, spacing
-    if len(nodes) > most_hidden:
+    if len(nodes) > MOST_HIDDEN:
         few = np.count_nonzero(~np.isnan(_unpassed(places(nodes[::FEW], *lattice), edges, seen)))
-        if few > most_hidden // FEW:
+        if few > MOST_HIDDEN // FEW:
             return None
     reach = np.full(values.shape, np.nan, np.float32)
     reach.reshape(-1)[nodes] = _unpassed(places(nodes, *lattice), edges, seen)
