@@ -51,7 +51,7 @@ def pair(rules: TabletopLabels, classes: np.ndarray, doubt: np.ndarray, count: i
     Doubt, as behind the thin wall of a cup, goes to "uncertain" and to no other class: the surface was
     seen, and keeps its place.
     """
-    return _owned(rules, classes, doubt, rules.most_pair_uncertain, count)
+    return _owned(classes, doubt, (rules.pair_uncertain, rules.most_pair_uncertain), count)
 
 
 def wall(rules: TabletopLabels, owner: np.ndarray, doubt: np.ndarray, count: int) -> np.ndarray:
@@ -59,9 +59,9 @@ def wall(rules: TabletopLabels, owner: np.ndarray, doubt: np.ndarray, count: int
     the wall ends before.
 
     As in a pair, doubt goes to "uncertain" alone: a wall keeps its thickness, for a thinner one would
-    have holes wherever the lattice misses it.
+    have holes wherever the lattice misses it. Unlike a pair nobody has seen them.
     """
-    return _owned(rules, owner, doubt, rules.most_uncertain, count)
+    return _owned(owner, doubt, (rules.least_uncertain, rules.most_uncertain), count)
 
 
 def foot(rules: TabletopLabels, above: np.ndarray) -> np.ndarray:
@@ -74,10 +74,12 @@ def foot(rules: TabletopLabels, above: np.ndarray) -> np.ndarray:
 
 
 def _owned(
-    rules: TabletopLabels, classes: np.ndarray, doubt: np.ndarray, most: float, count: int
+    classes: np.ndarray, doubt: np.ndarray, uncertain: tuple[float, float], count: int
 ) -> np.ndarray:
-    """Labels of samples that belong to classes (N,) or to "uncertain", whose share rises to `most`."""
+    """Labels of samples that belong to classes (N,) or to "uncertain", whose share rises with doubt (N,) from
+    the first of two to the second."""
+    least, most = uncertain
     labels = np.zeros((len(classes), count + 1), np.float32)
-    labels[:, -1] = rules.pair_uncertain + (most - rules.pair_uncertain) * doubt
+    labels[:, -1] = least + (most - least) * doubt
     labels[np.arange(len(classes)), classes] = 1 - labels[:, -1]
     return labels

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapping.samples import shift_along_rays
+from perception.space import Region
 from reconstruction.samples.open_space import FOOT_CLEARANCE
 from reconstruction.samples.scope import Scope
 
@@ -19,7 +20,8 @@ class SurfaceSamples:
     """Samples (N, 3) before seen surfaces, right behind them, and in their walls.
 
     owner: (N,) class of each, 1 for the first object; flat: (N,) bool, the support plane comes before the
-    wall's sample; guessed: (N,) bool, at a surface that was not measured but guessed.
+    wall's sample; guessed: (N,) bool, at a surface that was not measured but guessed; passed: (N,) bool,
+    another view has seen that the wall ends before the wall's sample.
     """
 
     before: np.ndarray
@@ -28,6 +30,7 @@ class SurfaceSamples:
     owner: np.ndarray
     flat: np.ndarray
     guessed: np.ndarray
+    passed: np.ndarray
 
 
 def surface_samples(scope: Scope) -> SurfaceSamples:
@@ -57,4 +60,5 @@ def surface_samples(scope: Scope) -> SurfaceSamples:
         inside[:, 2] = np.maximum(inside[:, 2], least)
         drop = inside[flat] - wall[flat]
         wall[flat] = inside[flat] - drop * ((inside[flat, 2:] - least) / drop[:, 2:])
-    return SurfaceSamples(before, inside, wall, owner, flat, guessed)
+    passed = scope.space.classify(wall) == Region.FREE
+    return SurfaceSamples(before, inside, wall, owner, flat, guessed, passed)

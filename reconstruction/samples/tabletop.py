@@ -114,7 +114,7 @@ class _Drawn:
         sizes = [len(surface.inside), len(surface.wall), len(self.foot)]
         at_inside, at_wall, at_foot, at_hidden = np.split(guess, np.cumsum(sizes))
         rows, count = np.arange(len(surface.owner)), guess.shape[1]
-        fill = at_wall[rows, surface.owner]
+        fill = np.where(surface.passed, 0, at_wall[rows, surface.owner])
         # The thin shell is a rule of thumb: nothing it says of hidden space is beyond doubt.
         rules, hidden = config.labels, self.around.hidden
         sure = rules.least_uncertain if config.prior == "learned" else rules.most_uncertain / 2
@@ -133,7 +133,10 @@ class _Drawn:
         ]
         if config.pairs:
             soft.append((surface.before, labels.pair(config.labels, surface.owner * 0, unsure, count)))
-            soft.append((surface.wall, labels.wall(config.labels, surface.owner, 1 - fill, count)))
+            walls, within = surface.wall, ~surface.passed
+            soft.append((walls[within], labels.wall(rules, surface.owner[within], 1 - fill[within], count)))
+            empty = np.zeros(len(walls) - within.sum(), int)
+            soft.append((walls[surface.passed], labels.pair(rules, empty, 0 * empty, count)))
         # Nothing is seen of a foot that hangs in the air: the empty samples under it need a match.
         over, standing = self._guessed(self._over_foot, at_foot, sure)
         soft.append((self._over_foot[standing], over[standing]))

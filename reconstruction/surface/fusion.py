@@ -10,6 +10,7 @@ import numpy as np
 
 from mapping.compiled import compiled
 from reconstruction.config import FusionConfig
+from reconstruction.surface.diagonals import between_diagonals
 from reconstruction.surface.field import extent
 from reconstruction.surface.joint_surface import JointEdges
 from reconstruction.surface.neighbours import beside, closed, range_in_cells
@@ -78,6 +79,9 @@ def fuse(
     kept = nodes_of_seen_cells(values, corner, fine_spacing, points, 0.0, RULED_OUT, beside=False)
     above = PER_METRE * edges.above_floor((corner[2] + fine_spacing * kept[2]).astype(np.float32))
     values[kept] = np.maximum(values[kept], np.minimum(above, THIN))
+    joints = between_diagonals(values, RULED_OUT)
+    above = PER_METRE * edges.above_floor((corner[2] + fine_spacing * joints[2]).astype(np.float32))
+    values[joints] = np.maximum(values[joints], np.minimum(above, THIN))
     return values, start
 
 
