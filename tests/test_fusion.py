@@ -17,6 +17,7 @@ from perception.observing import observe
 from reconstruction.config import FusionConfig, MeshConfig, PipelineConfig, preset
 from reconstruction.scene import reconstruct
 from reconstruction.surface.agreement import agreement_with_depth
+from reconstruction.surface.diagonals import between_diagonals
 from reconstruction.surface.field import Field, window_of
 from reconstruction.surface.meshing import extract_mesh
 from reconstruction.surface.neighbours import beside, closed, range_in_cells
@@ -192,3 +193,30 @@ def test_cells_with_points_are_taken_with_those_across_their_faces() -> None:
     held[tuple(cell[((cell >= 0) & (cell < held.shape)).all(1)].T)] = True
     expected = ndimage.binary_dilation(held, ndimage.generate_binary_structure(3, 1))
     assert np.array_equal(cells_with(points, corner, 0.01, shape), expected)
+
+
+@pytest.mark.parametrize("normal", [(1, 0, 1), (2, 1, 2), (1, 1, 1), (3, 0, 1)])
+def test_joined_diagonals_leave_no_holes_in_an_oblique_sheet(normal: tuple[int, int, int]) -> None:
+    """A cell thick it steps from node to node across squares; outside nodes on its two sides never touch."""
+    n = np.array(normal) / np.linalg.norm(normal)
+    height = np.stack(np.meshgrid(*[np.arange(20.0)] * 3, indexing="ij"), -1) @ n - 19.5 * n.sum() / 2 - 0.13
+    values = (np.max(n) / 2 + 0.01 - abs(height)).astype(np.float32)
+    sheet = values > 0
+    values[between_diagonals(values, -2.0)] = 0.4
+    assert (values > 0).sum() > sheet.sum()
+    assert ((values > 0) & ~sheet & (abs(height) > 1)).sum() == 0
+    above, below = (values <= 0) & (height > 0), (values <= 0) & (height < 0)
+    for axes in ((0,), (1,), (2,), (0, 1), (0, 2), (1, 2)):  # neighbours along an axis, or across a square
+        offset = np.isin(np.arange(3), axes).astype(int)
+        reach = np.zeros((3, 3, 3), bool)
+        for signs in np.ndindex(2, 2, 2):
+            reach[tuple(1 + offset * (2 * np.array(signs) - 1))] = True
+        assert not (ndimage.binary_dilation(above, reach) & below).any()
+
+
+def test_nodes_far_outside_join_nothing() -> None:
+    values = np.full((3, 3, 3), -3.0, np.float32)
+    values[0, 0, 0] = values[0, 1, 1] = 1
+    assert len(between_diagonals(values, -2.0)[0]) == 0
+    values[0, 1, 0] = -1
+    np.testing.assert_array_equal(between_diagonals(values, -2.0), [[0], [1], [0]])

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import OBJECTS, Shape, make_tabletop, shape_mesh
+from scipy.spatial import cKDTree
 
 from mapping.errors import FrameError
 from perception.camera import Camera
@@ -19,9 +20,10 @@ from perception.views.choosing import without_the_least_new
 from perception.views.joint_space import JointSpace
 from perception.views.observing_together import observe_together
 from reconstruction import load_result, reconstruct
-from reconstruction.config import FusionConfig, MeshConfig
+from reconstruction.config import FusionConfig, MeshConfig, PipelineConfig
 from reconstruction.files import result_folder
 from reconstruction.files.scene_json import describe
+from reconstruction.fitted_scene import FittedScene
 from reconstruction.result import Reconstruction
 from reconstruction.solid import Solid
 from tools.cli import main
@@ -237,6 +239,22 @@ def test_a_sheet_seen_from_both_sides_has_no_holes() -> None:
     result = reconstruct(frames)
     assert result.agreement[1].agreement > 0.93  # lace: 0.85
     assert result[1].mesh.volume < 0.14 * 0.10 * 0.0035
+
+
+def test_what_lies_beyond_a_sheet_that_another_view_sees_is_empty() -> None:
+    """The sample that asks whether a wall is thick lies in free space there."""
+    sheet = Shape("box", (0.0012, 0.14, 0.10), (0.03, 0.0, 0.05), 0.35)
+    eyes = ((-0.55, 0.0, 0.35), (0.6, 0.1, 0.35))
+    first, second = (make_tabletop((sheet,), eye=eye, size=(200, 150)).frame for eye in eyes)
+    scene = FittedScene.of(first, PipelineConfig(), further=[second])
+    X, y = scene.samples.X, scene.samples.y
+    beyond = cKDTree(scene.observation.objects[0].points).query(X)[0] > 0.004
+    beyond &= scene.space.classify(X) == Region.FREE
+    assert beyond.sum() > 500
+    assert y[beyond, 1].max() == 0
+    alone = FittedScene.of(first, PipelineConfig())
+    far = cKDTree(alone.observation.objects[0].points).query(alone.samples.X)[0] > 0.004
+    assert alone.samples.y[far, 1].max() > 0.3  # of one view it may well be thicker
 
 
 @pytest.mark.slow

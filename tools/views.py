@@ -28,7 +28,16 @@ from tools.exit_code import exit_code
 
 LEAST_PIXELS = 200
 """Objects that show fewer pixels in the first view are not judged."""
-METRICS = ("chamfer_mm", "fscore_5mm", "iou_2_5mm", "agreement", "uncertainty", "occlusion_auroc", "seconds")
+METRICS = (
+    "chamfer_mm",
+    "fscore_5mm",
+    "iou_2_5mm",
+    "agreement",
+    "agreement_all",
+    "uncertainty",
+    "occlusion_auroc",
+    "seconds",
+)
 
 
 def main(
@@ -89,7 +98,7 @@ def main(
             assert scene is not None
             progress.set_postfix_str(" ".join(key))
             frames = frames_of(scene, key[1])
-            found = judge(replace(scene, frames=frames), key[0])
+            found = judge(replace(scene, frames=frames), key[0], scene.frames)
             rows += [{"folder": place, "method": key[0], "views": key[1], **row} for row in found]
             write_json({"rows": rows}, json)
     rows = [row for row in rows if (row["method"], row["views"]) in asked]
@@ -187,8 +196,11 @@ def farthest_first(frames: Sequence[Frame]) -> list[Frame]:
     return [frames[index] for index in order]
 
 
-def judge(scene: ManyViews, method: str) -> list[dict[str, Any]]:
-    """One row of figures for each judged object; one that got no mesh has IoU and F-score 0."""
+def judge(scene: ManyViews, method: str, every: Sequence[Frame] = ()) -> list[dict[str, Any]]:
+    """One row of figures for each judged object; one that got no mesh has IoU and F-score 0.
+
+    every: all views that there are of the scene, used or not: `agreement_all` is over them.
+    """
     from time import perf_counter
 
     from reconstruction.metrics import (
@@ -197,7 +209,6 @@ def judge(scene: ManyViews, method: str) -> list[dict[str, Any]]:
         mutual_distances,
         sample_surface,
     )
-    from reconstruction.surface.agreement import agreement_with_depth, together
 
     start = perf_counter()
     answers, auroc = METHODS[method](scene, scene.frames)
@@ -217,26 +228,28 @@ def judge(scene: ManyViews, method: str) -> list[dict[str, Any]]:
                 ),
                 process=False,
             )
-            agreed = [
-                agreement_with_depth(
-                    {label: whole},
-                    frame.labels,
-                    frame.depth,
-                    frame.camera,
-                    invert_rigid(frame.camera.T_world_camera),
-                )[label]
-                for frame in scene.frames
-                if frame.labels is not None
-            ]
             row |= {
                 "chamfer_mm": 1e3 * chamfer_of_distances(distances),
                 "fscore_5mm": fscore_of_distances(distances, 0.005),
                 "iou_2_5mm": iou_of_union(answer.parts, true),
-                "agreement": together(agreed).agreement,
+                "agreement": _agreement(label, whole, scene.frames),
+                "agreement_all": _agreement(label, whole, every or scene.frames),
                 "uncertainty": answer.uncertainty,
             }
         rows.append(row)
     return rows
+
+
+def _agreement(label: int, mesh: trimesh.Trimesh, frames: Sequence[Frame]) -> float:
+    """The agreement of one object's mesh [m, world frame] with the depth images of frames."""
+    from reconstruction.surface.agreement import agreement_with_depth, together
+
+    agreed = []
+    for frame in frames:
+        assert frame.labels is not None
+        T = invert_rigid(frame.camera.T_world_camera)
+        agreed.append(agreement_with_depth({label: mesh}, frame.labels, frame.depth, frame.camera, T)[label])
+    return together(agreed).agreement
 
 
 def posed(frame: Frame, T: np.ndarray) -> Frame:
@@ -250,7 +263,8 @@ HEAD = """# Several views
 
 `python -m tools.views SCENES --out docs/results/views.md`: means over the objects that show at least 200
 pixels in the first view. Each view that is added is the one taken farthest from those before. Chamfer and
-F-score on 10,000 samples, IoU on a 2.5 mm grid, agreement within 3 mm over the views used, uncertainty: mean
+F-score on 10,000 samples, IoU on a 2.5 mm grid, agreement within 3 mm over the views used, agreement_all:
+over all views there are of the scene, so that every line is judged on the same pixels; uncertainty: mean
 p(uncertain) at vertices, occlusion_auroc: how well p(uncertain) tells space that no view has seen from the
 rest, seconds a scene. "view 2 ... off": its pose is wrong by so much;
 "all to ... off": every view but the first is said to be elsewhere, by up to so much each, and turned by up

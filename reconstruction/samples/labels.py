@@ -73,9 +73,7 @@ def foot(rules: TabletopLabels, above: np.ndarray) -> np.ndarray:
     return labels
 
 
-def _owned(
-    classes: np.ndarray, doubt: np.ndarray, uncertain: tuple[float, float], count: int
-) -> np.ndarray:
+def _owned(classes: np.ndarray, doubt: np.ndarray, uncertain: tuple[float, float], count: int) -> np.ndarray:
     """Labels of samples that belong to classes (N,) or to "uncertain", whose share rises with doubt (N,) from
     the first of two to the second."""
     least, most = uncertain
