@@ -11,6 +11,7 @@ from reconstruction.export.footing import PATCH, with_footing
 from reconstruction.export.hulls import convex_hull
 from reconstruction.export.parts_error import parts_error
 from reconstruction.export.refine import refined
+from reconstruction.export.tips import tips
 from reconstruction.solid import Solid
 
 
@@ -56,6 +57,17 @@ def test_hulls_in_any_attitude_do_not_overlap_when_cut(seed):
         assert (solid.inside(corners) | (solid.distance(corners) < 1e-5)).all()
 
 
+def test_a_face_without_area_parts_nothing():
+    sliver = box((0.1,) * 3, (0, 0, 0))
+    corner = len(sliver.vertices)
+    vertices = np.vstack([sliver.vertices, (sliver.vertices[sliver.faces[0]][:2]).mean(0)])
+    a, b, _ = sliver.faces[0]
+    flat = trimesh.Trimesh(vertices, np.vstack([sliver.faces, [a, corner, b]]), process=False)
+    assert not flat.face_normals[-1].any()
+    _, low, high = overlap(flat, box((0.1,) * 3, (0.09, 0, 0)))
+    assert high - low == pytest.approx(0.01)
+
+
 def test_a_part_is_cut_below_a_height_and_dropped_above_it():
     part = box((0.1,) * 3, (0, 0, 0))
     up = np.array([0.0, 0.0, 1.0])
@@ -68,20 +80,35 @@ def test_a_hull_over_a_hollow_is_halved_until_it_bulges_no_more():
     bent = trimesh.creation.box((0.08, 0.02, 0.02)).union(box((0.02, 0.02, 0.06), (0.03, 0, 0.03)))
     hull = np.asarray(bent.convex_hull.vertices)
     assert parts_error(bent, (convex_hull(hull),))[1] > 0.01
-    found = [part for points in refined([hull], bent, 0.0025) if (part := convex_hull(points)) is not None]
+    found = refined([hull], bent, bent, 0.0025)
     missing, excess = parts_error(bent, found)
     assert len(found) > 1
     assert excess < 0.003
     assert missing < 0.001
-    whole = np.asarray(trimesh.creation.box((0.05,) * 3).vertices)
-    (same,) = refined([whole], trimesh.creation.box((0.05,) * 3), 0.0025)
-    assert np.allclose(np.sort(same, 0), np.sort(whole, 0))
+    cube = trimesh.creation.box((0.05,) * 3)
+    (same,) = refined([np.asarray(cube.vertices)], cube, cube, 0.0025)
+    assert np.allclose(np.sort(same.vertices, 0), np.sort(cube.vertices, 0))
+
+
+def test_a_thin_tip_that_no_part_covers_becomes_a_part_of_its_own():
+    block = box((0.06, 0.06, 0.02), (0, 0, 0))
+    thorn = trimesh.creation.cone(
+        0.001, 0.006, transform=trimesh.transformations.translation_matrix([0, 0, 0.0099])
+    )
+    mesh = block.union(thorn)
+    assert parts_error(mesh, (block,))[0] == pytest.approx(0.0059, abs=1e-4)
+    (tip,) = tips(mesh, (block,), 0.0025)
+    missing, excess = parts_error(mesh, (block, tip))
+    assert missing < 1e-4
+    assert excess < 1e-4
+    assert tips(mesh, (block, tip), 0.0025) == []
+    assert tips(mesh, (block,), 0.007) == []
 
 
 def test_flat_things_keep_their_parts_when_they_get_their_foot():
     plate = box((0.1, 0.05, 0.0015), (0, 0, 0.001))  # all of it lies within the patch
     solid = trimesh.util.concatenate([plate, box((0.02, 0.02, 0.02), (0.05, 0, 0.011))])
-    parts = ConvexParts((plate, box((0.02, 0.02, 0.02), (0.05, 0, 0.011))), 0.0, 0.0)
+    parts = ConvexParts((plate, box((0.02, 0.02, 0.02), (0.05, 0, 0.011))), solid)
     footed = with_footing(parts, solid, 0.0)
     assert len(footed.parts) == 2
     assert plate.bounds[1, 2] < PATCH

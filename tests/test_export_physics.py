@@ -95,7 +95,7 @@ def test_nothing_reaches_into_the_support_and_the_foot_is_flat(planned):
         assert corners[:, 2].min() == pytest.approx(low, abs=1e-6)
         assert scene.parts[item.label].error_m < 3e-3
     ball = trimesh.creation.icosphere(3, 0.04)
-    whole = ConvexParts((ball,), 0.0, 0.0)
+    whole = ConvexParts((ball,), ball)
     cut = with_footing(whole, ball, -0.039)
     assert np.concatenate([part.vertices for part in cut.parts])[:, 2].min() == pytest.approx(-0.039)
     foot = cut.parts[0].vertices[:, 2] < -0.0389

@@ -65,6 +65,7 @@ def overlap(first: trimesh.Trimesh, second: trimesh.Trimesh) -> tuple[np.ndarray
         return None
     a, b = np.asarray(first.vertices), np.asarray(second.vertices)
     normals = np.concatenate([first.face_normals, -second.face_normals, np.eye(3), -np.eye(3)])
+    normals = normals[np.einsum("ij,ij->i", normals, normals) > 0.5]  # slivers of hulls have none
     ends, begins = (normals @ a.T).max(1), (normals @ b.T).min(1)
     depth = ends - begins
     best = int(depth.argmin())

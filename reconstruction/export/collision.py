@@ -11,6 +11,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from queue import SimpleQueue
 
@@ -24,8 +25,9 @@ from reconstruction.export.coacd_process import CoacdProcess
 from reconstruction.export.hulls import convex_hull
 from reconstruction.export.parts_error import parts_error
 from reconstruction.export.refine import refined
+from reconstruction.export.tips import tips
 
-VERSION = "2"
+VERSION = "3"
 """Changes when the same mesh would be cut differently by this code."""
 
 
@@ -33,15 +35,17 @@ VERSION = "2"
 class CollisionConfig:
     """How finely a mesh is cut into convex parts."""
 
-    concavity: float = 0.003
-    """Largest concavity left in a part [m]."""
-    bulge: float = 0.0025
-    """A part that reaches further out of the mesh than this is halved [m]."""
+    concavity: float = 0.02
+    """Largest concavity that the cutter leaves in a part [m]: what bulges is halved afterwards, which is
+    faster."""
+    bulge: float = 0.0022
+    """A part that reaches further out of the mesh than this is halved, and what of the mesh is further than
+    this from any part becomes one [m]."""
     simplify: float = 0.0012
     """The mesh is simplified by this much before it is cut [m]."""
     convex_within: float = 0.002
     """A mesh whose convex hull is nowhere further from it than this is one part [m]."""
-    samples: int = 200
+    samples: int = 100
     """Points a part's concavity is measured with; the cutting takes time in proportion."""
     candidates: int = 5
     """Cutting planes tried along each axis."""
@@ -59,17 +63,29 @@ class CollisionConfig:
 class ConvexParts:
     """Convex hulls whose union stands for a mesh, in the mesh's frame.
 
-    parts: closed meshes [m]. missing_m, excess_m: largest distance [m] from the mesh's surface to the parts,
-    and of the parts' surface from within the mesh, over the sampled points of parts_error.
+    parts: closed meshes [m]. mesh: what they stand for. missing_m, excess_m: largest distance [m] from the
+    mesh's surface to the parts, and of the parts' surface from within the mesh, over the sampled points of
+    parts_error; worked out when first asked for.
     """
 
     parts: tuple[trimesh.Trimesh, ...]
-    missing_m: float
-    excess_m: float
+    mesh: trimesh.Trimesh
+
+    @cached_property
+    def _errors(self) -> tuple[float, float]:
+        return parts_error(self.mesh, self.parts)
+
+    @property
+    def missing_m(self) -> float:
+        return self._errors[0]
+
+    @property
+    def excess_m(self) -> float:
+        return self._errors[1]
 
     @property
     def error_m(self) -> float:
-        return max(self.missing_m, self.excess_m)
+        return max(self._errors)
 
 
 def convex_parts(
@@ -112,9 +128,7 @@ def _parts_of(mesh: trimesh.Trimesh, config: CollisionConfig, process: CoacdProc
             _write(path, points)
         else:  # failed this time, on a busy machine perhaps: not kept
             points = [np.asarray(mesh.convex_hull.vertices)]
-    hulls = tuple(hull for part in points if (hull := convex_hull(part)) is not None)
-    missing, excess = parts_error(mesh, hulls)
-    return ConvexParts(hulls, missing, excess)
+    return ConvexParts(tuple(hull for part in points if (hull := convex_hull(part)) is not None), mesh)
 
 
 def _cut(mesh: trimesh.Trimesh, config: CollisionConfig, process: CoacdProcess) -> list[np.ndarray]:
@@ -136,7 +150,9 @@ def _cut(mesh: trimesh.Trimesh, config: CollisionConfig, process: CoacdProcess) 
     simple, manifold = simplified(mesh, config.simplify)
     if not manifold:
         settings["preprocess_mode"] = "on"
-    return refined(process.cut(simple, settings, config.time_limit_s), mesh, config.bulge)
+    hulls = refined(process.cut(simple, settings, config.time_limit_s), mesh, simple, config.bulge)
+    lost = tips(mesh, hulls, config.bulge) if hulls else []
+    return [np.asarray(part.vertices) for part in (*hulls, *lost)]
 
 
 def simplified(mesh: trimesh.Trimesh, tolerance: float) -> tuple[trimesh.Trimesh, bool]:

@@ -21,7 +21,6 @@ from reconstruction.export.apart import kept_apart
 from reconstruction.export.balance import balanced, resting_points
 from reconstruction.export.collision import CollisionConfig, ConvexParts, convex_parts
 from reconstruction.export.footing import with_footing
-from reconstruction.export.parts_error import parts_error
 from reconstruction.files.result_folder import StoredResult
 from reconstruction.files.scene_json import OTHER_FOLDER, object_folder
 
@@ -199,7 +198,7 @@ class ExportScene:
             kept = apart[item.label]
             if kept != placed[item.label]:
                 own = tuple(moved(part, invert_rigid(poses[item.label])) for part in kept)
-                found[item.label] = ConvexParts(own, *parts_error(item.solid, own))
+                found[item.label] = ConvexParts(own, item.solid)
         return found
 
     def _poses(self) -> dict[int, np.ndarray]:

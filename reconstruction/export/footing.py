@@ -12,7 +12,6 @@ import trimesh
 
 from reconstruction.export.collision import ConvexParts
 from reconstruction.export.hulls import convex_hull
-from reconstruction.export.parts_error import parts_error
 from reconstruction.export.refine import bulges
 from reconstruction.solid import Solid
 
@@ -32,23 +31,21 @@ def with_footing(parts: ConvexParts, solid: trimesh.Trimesh, support: float) -> 
     """
     if abs(float(solid.bounds[0, 2]) - support) > REACH:
         return parts
-    body = Solid(solid)
+    corners = [np.asarray(part.vertices) for part in parts.parts]
+    footed = {
+        number: hull
+        for number, points in enumerate(corners)
+        if points[:, 2].min() < support + PATCH
+        and (hull := convex_hull(_on_the_plane(points, support))) is not None
+    }
+    depths = bulges(list(footed.values()), Solid(solid)) if footed else []
+    kept = {number for number, (depth, _) in zip(footed, depths) if depth <= BULGE}
     found = tuple(
         hull
-        for part in parts.parts
-        if (hull := _footed(np.asarray(part.vertices), support, body)) is not None
+        for number, points in enumerate(corners)
+        if (hull := footed[number] if number in kept else convex_hull(_raised(points, support))) is not None
     )
-    return ConvexParts(found, *parts_error(solid, found)) if found else parts
-
-
-def _footed(points: np.ndarray, support: float, body: Solid) -> trimesh.Trimesh | None:
-    """A part that ends at the support, with its foot where that is no more wrong than the part."""
-    if points[:, 2].min() >= support + PATCH:
-        return convex_hull(points)
-    hull = convex_hull(_on_the_plane(points, support))
-    if hull is not None and bulges([hull], body)[0][0] > BULGE:
-        return convex_hull(_raised(points, support))
-    return hull
+    return ConvexParts(found, solid) if found else parts
 
 
 def _raised(points: np.ndarray, support: float) -> np.ndarray:

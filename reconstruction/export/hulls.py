@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import trimesh
 
@@ -11,19 +13,15 @@ parts."""
 
 
 def convex_hull(points: np.ndarray) -> trimesh.Trimesh | None:
-    """The closed convex hull of a part; None when it is flat, which no engine accepts."""
-    from scipy.spatial import ConvexHull, QhullError
+    """The closed convex hull of points (N, 3) [m]; None when it is flat, which no engine accepts."""
+    import manifold3d
 
-    try:
-        found = ConvexHull(points)
-    except (QhullError, ValueError):
+    return as_mesh(manifold3d.Manifold.hull_points(points))
+
+
+def as_mesh(hull: Any) -> trimesh.Trimesh | None:
+    """A convex `manifold3d.Manifold` as a mesh; None when it is flat or empty."""
+    if hull.is_empty() or hull.volume() <= LEAST_VOLUME:
         return None
-    number = np.zeros(len(points), int)
-    number[found.vertices] = np.arange(len(found.vertices))
-    corners, faces = points[found.vertices], number[found.simplices]
-    # Qhull leaves the winding open; outwards is where its plane's normal points.
-    a, b, c = (corners[faces[:, i]] for i in range(3))
-    inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), found.equations[:, :3]) < 0
-    faces[inwards] = faces[inwards, ::-1]
-    hull = trimesh.Trimesh(corners, faces, process=False)
-    return hull if hull.volume > LEAST_VOLUME else None
+    found = hull.to_mesh64()
+    return trimesh.Trimesh(np.asarray(found.vert_properties[:, :3]), found.tri_verts, process=False)
