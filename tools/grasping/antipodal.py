@@ -46,13 +46,14 @@ class DoubtConfig:
 
     contact: float = 0.5
     """Weight of p(uncertain) at the contacts."""
-    way: float = 0.5
-    """Weight of what may be in the hand's way: the probability that unsure space there is occupied."""
+    way: float = 1.0
+    """Weight of the chance that something unseen is in the hand's way: of any of the points there, taken one
+    by one."""
     spacing: float = 0.012
     """Points in the hand's way are this far apart [m]."""
     behind: float = 0.05
     """The last part of the way in that is looked at [m]."""
-    found: int = 80
+    found: int = 300
     """Clear grasps that are weighed."""
 
 
@@ -170,4 +171,4 @@ def _costs(
     points = places @ poses[:, :3, :3].transpose(0, 2, 1) + poses[:, None, :3, 3]
     occupied, uncertain = unsure(points.reshape(-1, 3))
     risk = np.where(points[..., 2].reshape(-1) > 0, occupied * uncertain, 0).reshape(len(poses), -1)
-    return np.stack([config.contact * at_contacts.reshape(-1, 2).max(1), config.way * risk.max(1)])
+    return np.stack([config.contact * at_contacts.reshape(-1, 2).max(1), config.way * (1 - np.prod(1 - risk, axis=1))])
