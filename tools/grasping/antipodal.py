@@ -171,4 +171,5 @@ def _costs(
     points = places @ poses[:, :3, :3].transpose(0, 2, 1) + poses[:, None, :3, 3]
     occupied, uncertain = unsure(points.reshape(-1, 3))
     risk = np.where(points[..., 2].reshape(-1) > 0, occupied * uncertain, 0).reshape(len(poses), -1)
-    return np.stack([config.contact * at_contacts.reshape(-1, 2).max(1), config.way * (1 - np.prod(1 - risk, axis=1))])
+    in_the_way = 1 - np.prod(1 - risk, axis=1)
+    return np.stack([config.contact * at_contacts.reshape(-1, 2).max(1), config.way * in_the_way])
