@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
-from mapping.settings import Checked, Count, Length, NotNegative, OpenShare, Positive
+from mapping.settings import Checked, Count, CountOrNone, Length, NotNegative, OpenShare, Positive
 
 FIT_CUTOFF = 3e-3
 """Features below this are dropped while fitting, where nothing else is said."""
@@ -26,6 +26,9 @@ class FitConfig(Checked):
     """Stop when the mean loss [nats] fell by less than this a step, on average over the last 3 steps."""
     memory: Count = 8
     """Pairs of steps that L-BFGS remembers."""
+    renew: CountOrNone = 0
+    """The curvature of each class is worked out after so many steps, and each time these have doubled: half
+    the steps, for fits that take longer than some milliseconds. 0: never."""
 
 
 @dataclass(frozen=True)

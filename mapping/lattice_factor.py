@@ -22,11 +22,11 @@ FARTHEST = 2
 
 @dataclass(frozen=True)
 class LatticeFactor:
-    """The factor of the kernels' correlations, rows of NEIGHBOURS + 1 columns and values, as in
-    `preconditioner`: made once for hinge points, then for the diagonal of any Gram matrix of theirs."""
+    """The factor of the kernels' correlations, as in `preconditioner`: made once for hinge points, then
+    scaled for any Gram matrix of theirs. lower: its rows; upper: their transpose."""
 
-    columns: torch.Tensor
-    values: torch.Tensor
+    lower: SparseRows
+    upper: SparseRows
 
     @classmethod
     def of(cls, hinges: HashedHinges) -> LatticeFactor:
@@ -46,14 +46,13 @@ class LatticeFactor:
 
         with Threads() as threads:
             columns, values = zip(*threads.map(rows_of, threads.split(count)))
-        return cls(torch.from_numpy(np.concatenate(columns)), torch.from_numpy(np.concatenate(values)))
+        offsets = torch.arange(0, count * (NEIGHBOURS + 1), NEIGHBOURS + 1, dtype=torch.int32)
+        lower = SparseRows(offsets, *(torch.from_numpy(np.concatenate(part)) for part in (columns, values)))
+        return cls(lower, lower.transposed(count))
 
     def scaled(self, diagonal: torch.Tensor) -> SparseFactor:
-        """The factor for the Gram matrix that has this diagonal (H,)."""
-        offsets = torch.arange(0, len(self.columns), NEIGHBOURS + 1, dtype=torch.int32)
-        values = self.values * diagonal.rsqrt()[self.columns.long()]
-        lower = SparseRows(offsets, self.columns, values)
-        return SparseFactor(lower, lower.transposed(len(diagonal)))
+        """The factor for the Gram matrix that has this diagonal (H,), or each class's (H, C)."""
+        return SparseFactor(self.lower, self.upper, diagonal.reshape(len(diagonal), -1).rsqrt())
 
 
 @compiled

@@ -16,14 +16,15 @@ from mapping.config import FitConfig
 from mapping.errors import ConfigError, DataError
 from mapping.hashed_hinges import HashedHinges, cube_by_cube, filled_nodes, hinges_at
 from mapping.hashed_tiles import shares_at
+from mapping.label_doubt import Labels, label_doubt
 from mapping.label_noise import disagreement, true_labels, wrong_label_share
 from mapping.samples import merge_in_cells
 from mapping.settings import Checked, NotNegative, OpenShare, Positive, Share
 from mapping.softmax import FitReport
 from mapping.weighed_features import WeighedFeatures
 
-LATTICE_ROWS = 2**20
-"""Lattice points that are asked for in one go."""
+ROWS = 2**18
+"""Places whose answers need not be kept side by side are asked for so many at a time."""
 
 BALL, POST, TRUNK, FLOOR, ROOM = (
     (0.1, 0.1, 0.1),
@@ -73,7 +74,7 @@ class MultiscaleConfig(Checked):
     """Share of a sample's disagreement with its neighbours that becomes "uncertain" instead of its class."""
     far_uncertainty: OpenShare = 0.95
     """p(uncertain) out of reach of every hinge point."""
-    fit: FitConfig = field(default_factory=lambda: FitConfig(tolerance=2e-4, memory=4))
+    fit: FitConfig = field(default_factory=lambda: FitConfig(tolerance=2e-4, memory=4, renew=10))
     """How the loss is minimised."""
 
 
@@ -147,7 +148,9 @@ class MultiscaleMap:
             seed, each = int(rng.integers(2**62)), config.noise_share * total / whole.noise_cells
             noise = noise_around(X, np.array(config.noise_cell), each, seed)
         l2 = total * config.l2 * (1 + (whole.wrong / config.wrong_label_share) ** 2)
-        self.classes, (self.known, y) = classes, np.unique(y, return_inverse=True)
+        # All of the whole's, or what other classes are left would differ from part to part.
+        self.classes, self.known = classes, np.flatnonzero(whole.counts)
+        y = np.searchsorted(self.known, y)
         samples = WeighedFeatures.of(X, weights, noise, self.hinges)
         labels = np.eye(len(self.known), dtype=np.float32)[y]
         self._fit_labels(samples, X, labels, l2)
@@ -182,6 +185,15 @@ class MultiscaleMap:
         """Numbers that the map keeps."""
         return self.W.size + self._fitted().nodes.size
 
+    def predict_labels(self, X: np.ndarray) -> Labels:
+        """Labels of points (N, 3) [m], how doubtful each is, and whether its place was observed. Answers are
+        not kept side by side: memory is that of some places."""
+        X, parts = _in_space(X), []
+        for start in range(0, max(len(X), 1), ROWS):
+            known, uncertain = self.predict_known(X[start : start + ROWS])
+            parts.append(Labels(known.argmax(axis=1), label_doubt(known), uncertain))
+        return Labels(*(np.concatenate(part) for part in zip(*parts)))
+
     def predict_known(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Probabilities (N, C) of the classes but "uncertain" at points (N, 3) [m], and p(uncertain) (N,)."""
         every = self.predict_proba(X)
@@ -203,8 +215,8 @@ class MultiscaleMap:
         """Class probabilities (*lattice, C + 1) on the lattice that three coordinate arrays [m] span."""
         shape = tuple(len(axis) for axis in axes)
         out = np.empty((int(np.prod(shape)), self.classes + self.uncertain), np.float32)
-        for start in range(0, len(out), LATTICE_ROWS):
-            part = np.arange(start, min(start + LATTICE_ROWS, len(out)))
+        for start in range(0, len(out), ROWS):
+            part = np.arange(start, min(start + ROWS, len(out)))
             places = [axis[index] for axis, index in zip(axes, np.unravel_index(part, shape))]
             out[part] = self.predict_proba(np.stack(places, axis=1))
         return out.reshape(*shape, -1)

@@ -14,7 +14,7 @@ import torch
 from mapping.sparse_features import SparseFeatures
 from mapping.threads import Threads
 from mapping.tiled_features import TiledFeatures
-from mapping.tiles import cross_entropy, flat, squares_of_columns, tiled
+from mapping.tiles import cross_entropy, curvatures, flat, squares_of_columns, tiled
 
 
 class Objective(Protocol):
@@ -24,6 +24,9 @@ class Objective(Protocol):
 
     def curvature(self) -> torch.Tensor:
         """The diagonal (H,) of a bound on each class's Hessian: p (1 - p) is at most 1/4."""
+
+    def curvature_at(self, W: torch.Tensor) -> torch.Tensor:
+        """The diagonal (H, C) of the Hessian at W (H, C)."""
 
     def at(self, W: torch.Tensor) -> tuple[float, torch.Tensor]:
         """The objective at W (H, C) and its derivative (H, C)."""
@@ -77,6 +80,13 @@ class _TiledObjective:
         )
         return torch.from_numpy(0.25 * np.sum(squares, 0) + np.float32(self.l2))
 
+    def curvature_at(self, W: torch.Tensor) -> torch.Tensor:
+        weights = flat(W.numpy())
+        sums = self.threads.map(
+            lambda share: curvatures(share[0], share[2], self.offset, weights), self.shares
+        )
+        return torch.from_numpy(np.sum(sums, 0)[: W.numel()].reshape(W.shape) + np.float32(self.l2))
+
     def at(self, W: torch.Tensor) -> tuple[float, torch.Tensor]:
         weights = flat(W.numpy())
         losses, slopes = zip(
@@ -108,6 +118,10 @@ class _SparseObjective:
 
     def curvature(self) -> torch.Tensor:
         return 0.25 * self.columns.squared().times(self.weights[:, None])[:, 0] + self.l2
+
+    def curvature_at(self, W: torch.Tensor) -> torch.Tensor:
+        p = torch.softmax(self.rows.times(W) + self.offset, 1)
+        return self.columns.squared().times(p * (1 - p) * self.weights[:, None]) + self.l2
 
     def at(self, W: torch.Tensor) -> tuple[float, torch.Tensor]:
         log_p = torch.log_softmax(self.rows.times(W) + self.offset, 1)

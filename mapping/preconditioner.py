@@ -26,19 +26,22 @@ class SparseFactor:
 
     Each row of G solves a small dense system with its nearest earlier neighbours (Vecchia 1988; Kaporin
     1994), so building and applying it is linear in H, unlike a Cholesky factor of A.
-    lower: G; upper: its transpose.
+    lower: G; upper: its transpose; scale: (H, C), each class's G being `lower` times diag(scale[:, c]), or
+    None: all ones.
     """
 
     lower: SparseRows
     upper: SparseRows
+    scale: torch.Tensor | None = None
 
     def pull(self, gradient: torch.Tensor) -> torch.Tensor:
         """G g: gradient by the weights (H, C) to gradient by the new coordinates (H, C)."""
-        return self.lower.times(gradient)
+        return self.lower.times(gradient if self.scale is None else gradient * self.scale)
 
     def push(self, step: torch.Tensor) -> torch.Tensor:
         """G^T u: a step in the new coordinates (H, C) to a step in the weights (H, C)."""
-        return self.upper.times(step)
+        pushed = self.upper.times(step)
+        return pushed if self.scale is None else pushed.mul_(self.scale)
 
 
 def sparse_factor(diagonal: torch.Tensor, hinges: np.ndarray, gamma: np.ndarray) -> SparseFactor:

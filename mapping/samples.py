@@ -32,7 +32,8 @@ def voxel_subsample(points: np.ndarray, size: float, rng: np.random.Generator | 
 def merge_in_cells(
     points: np.ndarray, classes: np.ndarray, weights: np.ndarray, size: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """One weighted sample for all of a class in a cubic cell of `size`: at their mean, with their sum.
+    """One weighted sample for all of a class in a cubic cell between multiples of `size`: at their mean, with
+    their sum.
 
     points: (N, d); classes: (N,) int >= 0; weights: (N,) > 0. Returns points (M, d) float64, classes (M,) and
     weights (M,), M <= N. The weighted sum of a function over the samples changes only by its curvature within
@@ -40,7 +41,9 @@ def merge_in_cells(
     """
     if len(points) == 0:
         return np.empty(points.shape), np.empty(0, np.int64), np.empty(0)
-    cells = [np.floor((axis - axis.min()) / size).astype(np.int32) for axis in points.T]
+    # Cells lie in space, not from the first point on: parts and wholes have the same samples.
+    cells = [np.floor(axis / size) for axis in points.T]
+    cells = [(cell - cell.min()).astype(np.int32) for cell in cells]
     extent = [int(classes.max()) + 1, *(int(cell.max()) + 1 for cell in cells)]
     key = np.ravel_multi_index((classes, *cells), extent)
     if np.prod(extent, dtype=float) > LARGEST_TABLE * len(points):

@@ -50,6 +50,8 @@ NotNegative = Annotated[float, Range(least=0)]
 """A number >= 0."""
 Count = Annotated[int, Range(least=1)]
 """At least one."""
+CountOrNone = Annotated[int, Range(least=0)]
+"""None, that is 0, or more."""
 
 Config = TypeVar("Config")
 _KNOWN: dict[type, dict[str, Any]] = {}

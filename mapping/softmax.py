@@ -45,37 +45,43 @@ def fit_softmax(
     """Minimise sum_i w_i CE(softmax(W^T phi_i + offset), t_i) + l2/2 ||W||^2.
 
     targets: (N,) int64 classes or (N, C) float32 distributions, rows as in `features`.
-    sample_weights: (N,) that sum to 1; offset: (C,) fixed; whiten: from the diagonal (H,) of a bound on each
-    class's Hessian, a factor for that bound. start: (H, C) where the fit begins, W = 0 by default. Returns W
-    (H, C) and the report.
+    sample_weights: (N,) that sum to 1; offset: (C,) fixed; whiten: a factor for a Hessian, from its diagonal:
+    (H,), a bound for every class, or (H, C) of each class, where config.renew asks for it. start: (H, C)
+    where the fit begins, W = 0 by default. Returns W (H, C) and the report.
 
-    Neighbouring kernels overlap, so the loss is badly conditioned in W. The fit runs in coordinates U with
-    W = G^T U, where G whitens a bound on the Hessian (Böhning 1992): there L-BFGS needs a third of the
-    steps.
+    Neighbouring kernels overlap, so the loss is badly conditioned in W. Steps are whitened by a bound on the
+    Hessian (Böhning 1992): L-BFGS needs a third of the steps. Where classes are sure the bound is far too
+    large; the curvature found on the way halves the steps again.
     """
     with Threads(offset.device) as threads:
         objective = objective_of(features, targets, sample_weights, offset, l2, threads)
         W = torch.zeros(objective.shape, device=offset.device) if start is None else start
-        return _minimise(objective, whiten(objective.curvature()), config, W)
+        known = start is not None and config.renew > 0
+        factor = whiten(objective.curvature_at(W) if known else objective.curvature())
+        return _minimise(objective, factor, whiten, config, W)
 
 
 def _minimise(
-    objective: Objective, coordinates: SparseFactor, config: FitConfig, W: torch.Tensor
+    objective: Objective,
+    factor: SparseFactor,
+    whiten: Callable[[torch.Tensor], SparseFactor],
+    config: FitConfig,
+    W: torch.Tensor,
 ) -> tuple[torch.Tensor, FitReport]:
     """L-BFGS from W with a backtracking line search (Nocedal and Wright, chapters 3 and 7)."""
-    loss, slopes = objective.at(W)
-    gradient = coordinates.pull(slopes)
+    loss, gradient = objective.at(W)
     losses = [loss]
     history: deque[tuple[torch.Tensor, torch.Tensor, float]] = deque(maxlen=config.memory)
-    converged = False
+    converged, renewed_at = False, config.renew
     for _ in range(config.max_iterations):
-        step_U = _inverse_hessian_times(gradient, history).neg_()
-        slope = _dot(gradient, step_U)
-        direction = coordinates.push(step_U)
+        if config.renew and len(losses) > renewed_at:
+            factor, renewed_at = whiten(objective.curvature_at(W)), 2 * renewed_at
+        direction = _inverse_hessian_times(gradient, history, factor).neg_()
+        slope = _dot(gradient, direction)
         length = 1.0 if history else FIRST_STEP
         for _ in range(12):
             trial_W = torch.add(W, direction, alpha=length)
-            trial_loss, slopes = objective.at(trial_W)
+            trial_loss, trial_gradient = objective.at(trial_W)
             if trial_loss <= loss + 1e-4 * length * slope:
                 break
             # Minimum of the parabola through both losses and the slope, kept within 0.1-0.6 of the length.
@@ -84,12 +90,11 @@ def _minimise(
         else:
             converged = True  # no descent is left at this precision
             break
-        new_gradient = coordinates.pull(slopes)
-        s, y = step_U.mul_(length), new_gradient - gradient
+        s, y = direction.mul_(length), trial_gradient - gradient
         curvature = _dot(s, y)
         if curvature > 0:
             history.append((s, y, curvature))
-        W, loss, gradient = trial_W, trial_loss, new_gradient
+        W, loss, gradient = trial_W, trial_loss, trial_gradient
         losses.append(loss)
         if len(losses) > 3 and losses[-4] - loss < 3 * config.tolerance:
             converged = True
@@ -98,18 +103,22 @@ def _minimise(
 
 
 def _inverse_hessian_times(
-    gradient: torch.Tensor, history: deque[tuple[torch.Tensor, torch.Tensor, float]]
+    gradient: torch.Tensor,
+    history: deque[tuple[torch.Tensor, torch.Tensor, float]],
+    factor: SparseFactor,
 ) -> torch.Tensor:
-    """L-BFGS two-loop recursion (Nocedal and Wright, algorithm 7.4)."""
+    """L-BFGS two-loop recursion (Nocedal and Wright, algorithm 7.4) from the whitened Hessian on."""
     q = gradient.clone()
     alphas = []
     for s, y, curvature in reversed(history):
         alpha = _dot(s, q) / curvature
         q.sub_(y, alpha=alpha)
         alphas.append(alpha)
+    q = factor.push(factor.pull(q))
     if history:
         _, y, curvature = history[-1]
-        q.mul_(curvature / _dot(y, y))
+        white = factor.pull(y)
+        q.mul_(curvature / _dot(white, white))
     for (s, y, curvature), alpha in zip(history, reversed(alphas)):
         q.add_(s, alpha=alpha - _dot(y, q) / curvature)
     return q

@@ -8,7 +8,7 @@ of such tiles are not 0, and a whole column of a tile is one vector of the proce
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from mapping.lanes import (
     plus,
     plus_product,
     store,
+    times,
 )
 
 HALF = LANES // 2
@@ -149,6 +150,35 @@ def cross_entropy(
 
 
 @compiled
+def curvatures(tiles: Tiles, weights: np.ndarray, offset: np.ndarray, W: np.ndarray) -> np.ndarray:
+    """Second derivatives by each weight, sum_i w_i p_ic (1 - p_ic) phi_ih^2; arguments and form: as in
+    `cross_entropy`."""
+    classes, weight = len(offset), weights.reshape(-1)
+    padded = -(-classes // LANES) * LANES
+    sums, logits = np.zeros(len(W), np.float32), np.empty(padded * LANES, np.float32)
+    spread = np.zeros(LANES * padded, np.float32)  # row by row
+    squares, lanes = np.empty(0, np.float32), np.empty(LANES, np.float32)
+    for t in range(len(tiles.starts) - 1):
+        own = slice(tiles.starts[t], tiles.starts[t + 1])
+        _logits(tiles, own.start, own.stop, W, offset, logits)
+        total = _powers(classes, logits)
+        for c in range(classes):
+            share = over(load(logits, c * LANES), total)
+            share = times(times(share, minus(every(np.float32(1)), share)), load(weight, t * LANES))
+            store(lanes, 0, share)
+            for lane in range(LANES):
+                spread[lane * padded + c] = lanes[lane]
+        if LANES * (own.stop - own.start) > len(squares):
+            squares = np.empty(2 * LANES * (own.stop - own.start), np.float32)
+        for k in range(own.stop - own.start):
+            value = load(tiles.values, LANES * (own.start + k))
+            store(squares, LANES * k, times(value, value))
+        squared = Tiles(tiles.starts, tiles.columns[own], squares)
+        _add_slopes(squared, 0, own.stop - own.start, spread, padded, classes, sums)
+    return sums
+
+
+@compiled
 def answer_tiles(
     tiles: Tiles,
     W: np.ndarray,
@@ -163,20 +193,27 @@ def answer_tiles(
     logits = np.empty(-(-classes // LANES) * LANES * LANES, np.float32)
     for t in range(len(tiles.starts) - 1):
         _logits(tiles, tiles.starts[t], tiles.starts[t + 1], W, offset, logits)
-        highest = load(logits, 0)
-        for c in range(1, classes):
-            highest = larger(highest, load(logits, c * LANES))
-        total = every(np.float32(0))
-        for c in range(classes):
-            power = exponential(minus(load(logits, c * LANES), highest))
-            store(logits, c * LANES, power)
-            total = plus(total, power)
+        total = _powers(classes, logits)
         for c in range(classes):
             store(logits, c * LANES, over(load(logits, c * LANES), total))
         for lane in range(min(LANES, len(order) - LANES * t)):
             row = order[LANES * t + lane]
             for c in range(classes):
                 out[row, columns[c]] = logits[c * LANES + lane]
+
+
+@compiled
+def _powers(classes: int, logits: np.ndarray) -> Any:
+    """exp of a tile's logits (C, 8), less each row's largest, in their place; the vector of rows' sums."""
+    highest = load(logits, 0)
+    for c in range(1, classes):
+        highest = larger(highest, load(logits, c * LANES))
+    total = every(np.float32(0))
+    for c in range(classes):
+        power = exponential(minus(load(logits, c * LANES), highest))
+        store(logits, c * LANES, power)
+        total = plus(total, power)
+    return total
 
 
 @compiled

@@ -87,7 +87,7 @@ def test_merging_keeps_each_class_s_weight_and_mean(count, dimensions, size, see
         ours, given = y == label, classes == label
         np.testing.assert_allclose(w[ours].sum(), weights[given].sum())
         np.testing.assert_allclose(w[ours] @ X[ours], weights[given] @ points[given], atol=1e-9)
-    cells = np.column_stack([classes, np.floor((points - points.min(0)) / size).astype(int)])
+    cells = np.column_stack([classes, np.floor(points / size).astype(int)])
     assert len(X) == len(np.unique(cells, axis=0))
 
 

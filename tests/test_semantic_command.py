@@ -65,6 +65,8 @@ def test_voxels_queries_cloud_and_picture_show_the_street(tiled):
     with np.load(tiled / "query.npz") as answer:
         p = answer["probabilities"]
         assert list(answer["classes"]) == [*NAMES, "uncertain"]
+        assert answer["label"].tolist()[:2] == [0, 1]
+        assert answer["doubt"][:2].max() < 0.5
     assert p[:2].argmax(1).tolist() == [0, 1]
     assert p[2].argmax() == 3
     figures = json.loads((tiled.parent / "figures.json").read_text())
@@ -75,6 +77,12 @@ def test_voxels_queries_cloud_and_picture_show_the_street(tiled):
     cloud = trimesh.load(tiled / "cloud.ply")
     assert len(cloud.vertices) > 500
     assert cloud.bounds[0, 2] > -1
+    doubt = store["doubt"][:]
+    assert np.median(doubt[cell]) < 0.1
+    assert (doubt[store["label"][:] == NOTHING] == 1).all()
+    vertices = cloud.metadata["_ply_raw"]["vertex"]["data"]
+    assert 0 <= vertices["doubt"].min() < vertices["doubt"].max() <= 1
+    assert vertices["uncertain"].max() <= 0.5
 
 
 def test_one_tile_and_many_agree(scans, tiled, tmp_path):

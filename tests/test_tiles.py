@@ -91,7 +91,7 @@ def test_cross_entropy_and_its_slopes_are_those_of_torch(classes: int, count: in
         tensors = [torch.from_numpy(part) for part in (targets, weights, offset)]
         objective = objective_of(features, *tensors, 1e-3, threads)
         loss, slopes = objective.at(W)
-        curvature = objective.curvature()
+        curvature, second = objective.curvature(), objective.curvature_at(W)
     exact = W.double().requires_grad_()
     rows = torch.from_numpy(matrix(features).toarray()).double()
     log_p = torch.log_softmax(rows @ exact + tensors[2].double(), 1)
@@ -100,6 +100,9 @@ def test_cross_entropy_and_its_slopes_are_those_of_torch(classes: int, count: in
     assert loss == pytest.approx(want.item(), rel=1e-5)
     assert exact.grad is not None
     assert (slopes - exact.grad).abs().max() < 1e-5 * exact.grad.abs().max()
+    p = log_p.detach().exp()
+    seconds = rows.square().T @ (tensors[1].double()[:, None] * p * (1 - p)) + 1e-3
+    assert (second - seconds).abs().max() < 1e-5 * seconds.max()
     squares = 0.25 * (rows.square() * tensors[1].double()[:, None]).sum(0) + 1e-3
     assert (curvature - squares).abs().max() < 1e-5 * squares.max()
 
@@ -128,8 +131,9 @@ def test_both_objectives_agree() -> None:
         order = torch.as_tensor(features.order)
         with Threads() as threads:
             objective = objective_of(features, targets[order], weights, offset, 1e-4, threads)
-            found.append((*objective.at(W), objective.curvature()))
-    (loss, slopes, curvature), (other_loss, other_slopes, other_curvature) = found
+            found.append((*objective.at(W), objective.curvature(), objective.curvature_at(W)))
+    (loss, slopes, curvature, second), (other_loss, other_slopes, other_curvature, other_second) = found
+    torch.testing.assert_close(second, other_second, atol=1e-6, rtol=1e-4)
     assert loss == pytest.approx(other_loss, rel=1e-5)
     torch.testing.assert_close(slopes, other_slopes, atol=1e-6, rtol=1e-4)
     torch.testing.assert_close(curvature, other_curvature, atol=1e-6, rtol=1e-4)

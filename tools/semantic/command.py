@@ -36,11 +36,12 @@ def semantic(
     overwrite: bool = False,
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> None:
-    """Map labelled scans: classes and p(uncertain) anywhere.
+    """Map labelled scans: classes, how doubtful each label is, and p(uncertain) anywhere.
 
     The map is made in tiles that are fitted alone and blended. Writes semantic.json (classes, settings,
-    figures), tiles/ (a map each), voxels.zarr (label and uncertain, a chunk a tile), cloud.ply (sure voxels,
-    coloured by class) and map.png (seen from above). A command that was cut off goes on where it stopped.
+    figures), tiles/ (a map each), voxels.zarr (label, its doubt, and uncertain, that is not observed; a chunk
+    a tile), cloud.ply (observed voxels, coloured by class) and map.png (seen from above). A command that was
+    cut off goes on where it stopped.
 
     Example: contramap semantic sequences/00 --out street --query points.npy --rrd street.rrd
 
@@ -50,7 +51,7 @@ def semantic(
         voxel: Size of a voxel [m].
         tile: Side of a tile [m].
         overlap: Tiles also learn from points this far beyond them [m], and are blended there.
-        query: Points (N, 3) [m] in a .npy file; their probabilities are written to query.npz.
+        query: Points (N, 3) [m] in a .npy file; probabilities, labels and doubts go to query.npz.
         rrd: Also write a rerun recording, the map growing scan by scan.
         workers: Processes that fit tiles.
         engine: local processes, or ray (a cluster; --out must lie where every node can reach it).
@@ -93,7 +94,8 @@ def map_scans(
     from mapping.multiscale import MultiscaleConfig, Whole
     from tools.semantic.inputs import read_scans
     from tools.semantic.pictures import draw_above, record_scans, write_cloud
-    from tools.semantic.tiles import Job, ask_tiles, create_store, fit_tile, plan_tiles, write_tile
+    from tools.semantic.queries import write_answers
+    from tools.semantic.tiles import Job, create_store, fit_tile, plan_tiles, write_tile
     from tools.semantic.workers import run_tasks
 
     clouds = read_scans(scans, seed)
@@ -139,12 +141,7 @@ def map_scans(
     if rrd is not None:
         record_scans(clouds, out, rrd)
     if query is not None:
-        from mapping.files import temporary_beside
-
-        with temporary_beside(out / "query.npz") as partial, partial.open("wb") as file:
-            np.savez(
-                file, probabilities=ask_tiles(job, tiles, query), classes=np.array([*names, "uncertain"])
-            )
+        write_answers(job, tiles, query, names, out / "query.npz")
     return figures
 
 

@@ -29,14 +29,18 @@ def class_colours(count: int) -> np.ndarray:
 
 
 def write_cloud(out: Path, names: Sequence[str]) -> None:
-    """cloud.ply: centres [m] of the voxels that are sure, coloured by class, with their label."""
+    """cloud.ply: centres [m] of the voxels that were observed, coloured by class, with their label, its doubt
+    and p(uncertain)."""
     store = _store(out)
     label = store["label"][:]
-    sure = (label != NOTHING) & (store["uncertain"][:] <= UNSURE)
+    uncertain = store["uncertain"][:]
+    sure = (label != NOTHING) & (uncertain <= UNSURE)
     cell = np.argwhere(sure)
     points = np.asarray(store.attrs["origin_m"]) + (cell + 0.5) * store.attrs["voxel_m"]
-    rows = np.empty(len(cell), [("xyz", "<f4", 3), ("rgb", "u1", 3), ("label", "u1")])
+    kinds = [("xyz", "<f4", 3), ("rgb", "u1", 3), ("label", "u1"), ("doubt", "<f4"), ("uncertain", "<f4")]
+    rows = np.empty(len(cell), kinds)
     rows["xyz"], rows["label"] = points, label[sure]
+    rows["doubt"], rows["uncertain"] = store["doubt"][:][sure], uncertain[sure]
     rows["rgb"] = class_colours(len(names))[label[sure]]
     header = [
         "ply",
@@ -45,6 +49,7 @@ def write_cloud(out: Path, names: Sequence[str]) -> None:
     ]
     header += [f"element vertex {len(rows)}", *(f"property float {axis}" for axis in "xyz")]
     header += [f"property uchar {name}" for name in ("red", "green", "blue", "label")]
+    header += [f"property float {name}" for name in ("doubt", "uncertain")]
     write_atomically(out / "cloud.ply", ("\n".join([*header, "end_header"]) + "\n").encode() + rows.tobytes())
 
 

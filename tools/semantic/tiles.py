@@ -6,7 +6,7 @@ writes only files of its own, whole or not at all, so it can be run again, anywh
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,15 @@ import numpy as np
 
 from mapping.files import write_atomically
 from mapping.hashed_hinges import filled_nodes
+from mapping.label_doubt import labels_of
 from mapping.multiscale import MultiscaleConfig, MultiscaleMap, Whole
 
+Tile = tuple[int, int]
+"""A tile's index along x and y."""
 NOTHING = 255
-"""Label of voxels that no point is near; their p(uncertain) is 1."""
+"""Label of voxels that no point is near; their doubt and their p(uncertain) are 1."""
+VOXELS = (("label", "uint8", NOTHING), ("doubt", "float16", 1.0), ("uncertain", "float16", 1.0))
+"""Arrays of the voxel store: name, type and what is there where nothing was written."""
 
 
 @dataclass(frozen=True)
@@ -32,23 +37,23 @@ class TilePlan:
     side: int
     overlap: float
 
-    def tiles(self) -> Iterator[tuple[int, int]]:
+    def tiles(self) -> Iterator[Tile]:
         """Indices of the tiles along x and y."""
         across, along = (-(-n // self.side) for n in self.counts[:2])
         return ((i, j) for i in range(across) for j in range(along))
 
-    def core(self, tile: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    def core(self, tile: Tile) -> tuple[np.ndarray, np.ndarray]:
         """Corners (2,) of a tile's own part [m]."""
         low = np.asarray(self.low[:2]) + self.side * self.voxel * np.asarray(tile)
         return low, low + self.side * self.voxel
 
-    def within(self, tile: tuple[int, int], X: np.ndarray) -> np.ndarray:
+    def within(self, tile: Tile, X: np.ndarray) -> np.ndarray:
         """(N,) whether points (N, 3) lie in the tile or its overlap."""
         low, high = self.core(tile)
         inside = (X[:, :2] >= low - self.overlap) & (X[:, :2] < high + self.overlap)
         return np.asarray(inside.all(axis=1))
 
-    def weight(self, tile: tuple[int, int], X: np.ndarray) -> np.ndarray:
+    def weight(self, tile: Tile, X: np.ndarray) -> np.ndarray:
         """(N,) how much a tile's answer counts at points (N, 3): 1 well inside, 1/2 on its border, 0 beyond
         the overlap."""
         low, high = self.core(tile)
@@ -56,7 +61,7 @@ class TilePlan:
         from_high = ((high + self.overlap) - X[:, :2]) / (2 * self.overlap)
         return np.clip(np.minimum(from_low, from_high), 0, 1).prod(axis=1)
 
-    def around(self, tile: tuple[int, int]) -> list[tuple[int, int]]:
+    def around(self, tile: Tile) -> list[Tile]:
         """The tile and its neighbours that are there."""
         every = set(self.tiles())
         near = [(tile[0] + a, tile[1] + b) for a in (-1, 0, 1) for b in (-1, 0, 1)]
@@ -73,16 +78,16 @@ class Job:
     whole: Whole
     seed: int
 
-    def map_file(self, tile: tuple[int, int]) -> Path:
+    def map_file(self, tile: Tile) -> Path:
         """The tile's fitted map; empty where too few points are."""
         return self.folder / "tiles" / f"{tile[0]:04d}_{tile[1]:04d}.npz"
 
-    def done_file(self, tile: tuple[int, int]) -> Path:
+    def done_file(self, tile: Tile) -> Path:
         """Written after the tile's chunks are."""
         return self.folder / "tiles" / f"{tile[0]:04d}_{tile[1]:04d}.done"
 
 
-def fit_tile(job: Job, tile: tuple[int, int]) -> None:
+def fit_tile(job: Job, tile: Tile) -> None:
     """Fit one tile's map and write it, unless that was done."""
     path = job.map_file(tile)
     if path.is_file():
@@ -98,24 +103,31 @@ def fit_tile(job: Job, tile: tuple[int, int]) -> None:
     model.save(path)
 
 
-def ask_tiles(job: Job, tiles: list[tuple[int, int]], X: np.ndarray) -> np.ndarray:
-    """Blended class probabilities (N, C + 1) at points (N, 3); uncertain where no tile has a map."""
+def ask_tiles(
+    job: Job,
+    tiles: list[Tile],
+    X: np.ndarray,
+    load: Callable[[Tile], MultiscaleMap] | None = None,
+) -> np.ndarray:
+    """Blended class probabilities (N, C + 1) at points (N, 3); uncertain where no tile has a map.
+
+    load: the map of a tile that has one, by default read from its file.
+    """
+    load = load or (lambda tile: MultiscaleMap(job.config).load(job.map_file(tile)))
     classes = len(job.whole.counts)
     total, weights = np.zeros((len(X), classes + 1)), np.zeros(len(X))
     for tile in tiles:
         weight = job.plan.weight(tile, X)
         rows = np.flatnonzero(weight > 0)
-        path = job.map_file(tile)
-        if len(rows) and path.stat().st_size:
-            model = MultiscaleMap(job.config).load(path)
-            total[rows] += weight[rows, None] * model.predict_proba(X[rows])
+        if len(rows) and job.map_file(tile).stat().st_size:
+            total[rows] += weight[rows, None] * load(tile).predict_proba(X[rows])
             weights[rows] += weight[rows]
     unknown = weights == 0
     total[unknown, -1] = weights[unknown] = 1
     return (total / weights[:, None]).astype(np.float32)
 
 
-def write_tile(job: Job, tile: tuple[int, int]) -> None:
+def write_tile(job: Job, tile: Tile) -> None:
     """Ask the tile's voxels near points and write its own chunks, unless that was done."""
     if job.done_file(tile).is_file():
         return
@@ -128,7 +140,7 @@ def write_tile(job: Job, tile: tuple[int, int]) -> None:
     near = np.asarray(points[plan.within(tile, points)], np.float64)
     window = tuple(slice(a, b) for a, b in zip(start, stop))
     label = np.full(stop - start, NOTHING, np.uint8)
-    uncertain = np.ones(stop - start, np.float16)
+    doubt, uncertain = np.ones((2, *(stop - start)), np.float16)
     if len(near):
         cell = filled_nodes(near - np.asarray(plan.low) - plan.voxel / 2, plan.voxel)
         steps = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), -1).reshape(-1, 3)
@@ -137,11 +149,10 @@ def write_tile(job: Job, tile: tuple[int, int]) -> None:
         if len(cell):
             answer = ask_tiles(job, plan.around(tile), np.asarray(plan.low) + (cell + 0.5) * plan.voxel)
             place = tuple((cell - start).T)
-            label[place] = answer[:, :-1].argmax(axis=1)
-            uncertain[place] = answer[:, -1]
+            label[place], doubt[place], uncertain[place] = labels_of(answer)
     store: Any = zarr.open_group(job.folder / "voxels.zarr", mode="r+")
-    store["label"][window] = label
-    store["uncertain"][window] = uncertain
+    for name, values in (("label", label), ("doubt", doubt), ("uncertain", uncertain)):
+        store[name][window] = values
     write_atomically(job.done_file(tile), b"")
 
 
@@ -150,7 +161,7 @@ def create_store(job: Job, names: tuple[str, ...]) -> None:
     import zarr
 
     folder = job.folder / "voxels.zarr"
-    if (folder / "uncertain" / "zarr.json").is_file():
+    if (folder / VOXELS[-1][0] / "zarr.json").is_file():
         return
     store = zarr.open_group(folder, mode="w")
     store.attrs.update(
@@ -162,7 +173,7 @@ def create_store(job: Job, names: tuple[str, ...]) -> None:
         }
     )
     chunks = (job.plan.side, job.plan.side, job.plan.counts[2])
-    for name, kind, fill in (("label", "uint8", NOTHING), ("uncertain", "float16", 1.0)):
+    for name, kind, fill in VOXELS:
         store.create_array(name, shape=job.plan.counts, chunks=chunks, dtype=kind, fill_value=fill)
 
 

@@ -12,9 +12,8 @@ from mapping.errors import DataError
 from mapping.threads import thread_count
 from tools.runs.ray_cluster import ray_cluster
 from tools.runs.workers import run_in_workers
-from tools.semantic.tiles import Job
+from tools.semantic.tiles import Job, Tile
 
-Tile = tuple[int, int]
 Task = Callable[[Job, Tile], None]
 RETRIES = 3
 """Times that a task is tried again after its worker died."""

@@ -5,13 +5,14 @@ Knows labelled points; must not know scenes or protocols.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from mapping.errors import ConfigError
 from mapping.kernels import cell_numbers
+from mapping.label_doubt import label_doubt
 from mapping.multiscale import MultiscaleConfig, MultiscaleMap
 
 TITLES = {
@@ -27,11 +28,20 @@ VOXEL = 0.2
 """Side of the voxels whose commonest label counts [m]."""
 
 
+class Answers(NamedTuple):
+    """Of N places: shares (N, C) of the classes; doubt (N,) that the likeliest one is right; unseen (N,), how
+    much speaks for a place that was not observed. Of the last two only the order counts."""
+
+    shares: np.ndarray
+    doubt: np.ndarray
+    unseen: np.ndarray
+
+
 class SemanticMap(Protocol):
     """A fitted map, whatever its method."""
 
-    def ask(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Class shares (N, C) at points (N, 3) [m], and how uncertain that is (N,)."""
+    def ask(self, X: np.ndarray) -> Answers:
+        """At points (N, 3) [m]."""
 
     @property
     def size(self) -> int:
@@ -42,8 +52,9 @@ class _Kernels:
     def __init__(self, model: MultiscaleMap) -> None:
         self.model = model
 
-    def ask(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return self.model.predict_known(X)
+    def ask(self, X: np.ndarray) -> Answers:
+        shares, uncertain = self.model.predict_known(X)
+        return Answers(shares, label_doubt(shares), uncertain)
 
     @property
     def size(self) -> int:
@@ -51,15 +62,16 @@ class _Kernels:
 
 
 class _Neighbours:
-    """Shares of the labels among the nearest points; the uncertainty of one neighbour is its distance."""
+    """Shares of the labels among the nearest points; what is unseen is told by the distance of the nearest,
+    and so is the doubt where one neighbour alone is asked."""
 
     def __init__(self, X: np.ndarray, y: np.ndarray, classes: int, count: int) -> None:
         self.tree, self.y, self.classes, self.count = cKDTree(X), y, classes, min(count, len(X))
 
-    def ask(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def ask(self, X: np.ndarray) -> Answers:
         distance, index = self.tree.query(X, np.arange(1, self.count + 1))
         shares = _shares(self.y[index], self.classes)
-        return shares, distance[:, 0] if self.count == 1 else 1 - shares.max(axis=1)
+        return Answers(shares, distance[:, 0] if self.count == 1 else label_doubt(shares), distance[:, 0])
 
     @property
     def size(self) -> int:
@@ -67,7 +79,7 @@ class _Neighbours:
 
 
 class _Voxels:
-    """The labels' shares in the nearest voxel that holds points."""
+    """The labels' shares in the nearest voxel that holds points, and how far that is."""
 
     def __init__(self, X: np.ndarray, y: np.ndarray, classes: int) -> None:
         cell = np.floor(X / VOXEL)
@@ -76,9 +88,10 @@ class _Voxels:
         counts = np.bincount(voxel.reshape(-1) * classes + y, minlength=len(first) * classes)
         self.shares = counts.reshape(-1, classes) / counts.reshape(-1, classes).sum(1, keepdims=True)
 
-    def ask(self, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        shares = self.shares[self.tree.query(X)[1]]
-        return shares, 1 - shares.max(axis=1)
+    def ask(self, X: np.ndarray) -> Answers:
+        distance, voxel = self.tree.query(X)
+        shares = self.shares[voxel]
+        return Answers(shares, label_doubt(shares), distance)
 
     @property
     def size(self) -> int:

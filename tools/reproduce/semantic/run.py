@@ -22,11 +22,12 @@ from tools.reproduce.semantic.scenes import load_scene, scene_names
 from tools.runs.kept import cached_run
 
 KEYS = (
-    *("miou", "accuracy", "wrong_auroc", "doubt_auroc", "unobserved_auroc", "brier"),
+    *("miou", "accuracy", "wrong_auroc", "wrong_auroc_unseen", "unobserved_auroc", "brier"),
     *("train_s", "infer_s", "train_cpu_s", "infer_cpu_s", "peak_rss_mb", "size"),
 )
-"""Figures of a run. infer_s is for the test points; wrong_auroc and unobserved_auroc rank by p(uncertain) (of
-methods without it: by what they have), doubt_auroc by the chance that the answer is wrong."""
+"""Figures of a run. infer_s is for the test points; wrong_auroc ranks wrong labels by the doubt of the label,
+unobserved_auroc ranks unobserved places by p(uncertain) (of methods without it: by what they have), and
+wrong_auroc_unseen wrong labels by that, too."""
 PAPER = {
     "semantickitti": {"contramap": 0.8412, "hilbert": 0.8096},
     "scenenet": {"contramap": 0.669, "hilbert": 0.662},
@@ -50,17 +51,16 @@ def measure(case: Case, method: str, classes: int, config: MultiscaleConfig, see
         return fit_method(method, case.X, case.y, classes, config, np.random.default_rng([seed, 1]))
 
     fitted, training = timed("train", fit, most=1)
-    (shares, uncertain), asking = timed("infer", lambda: fitted.ask(case.X_test), most=1)
+    (shares, doubt, unseen), asking = timed("infer", lambda: fitted.ask(case.X_test), most=1)
     label = shares.argmax(axis=1)
-    known = 1 - uncertain if method == "contramap" else 1.0
-    nowhere = fitted.ask(case.unobserved)[1]
-    unseen = np.append(np.zeros(len(uncertain), bool), np.ones(len(nowhere), bool))
+    nowhere = fitted.ask(case.unobserved).unseen
+    unobserved = np.append(np.zeros(len(unseen), bool), np.ones(len(nowhere), bool))
     return {
         "miou": miou(case.y_test, label),
         "accuracy": float((label == case.y_test).mean()),
-        "wrong_auroc": auroc(uncertain, label != case.y_test),
-        "doubt_auroc": auroc(1 - known * shares.max(axis=1), label != case.y_test),
-        "unobserved_auroc": auroc(np.append(uncertain, nowhere), unseen),
+        "wrong_auroc": auroc(doubt, label != case.y_test),
+        "wrong_auroc_unseen": auroc(unseen, label != case.y_test),
+        "unobserved_auroc": auroc(np.append(unseen, nowhere), unobserved),
         "brier": brier(shares.astype(np.float64), case.y_test),
         **training,
         **asking,
@@ -102,7 +102,7 @@ def run_semantic(
             continue
         case_of = lru_cache(maxsize=1)(lambda s, p, k: make_case(s, p, np.random.default_rng(k)))
         for method in methods:
-            settings = {"scene": name, "protocol": protocol, "seed": seed, "method": method}
+            settings = {"scene": name, "protocol": protocol, "seed": seed, "method": method, "keys": [*KEYS]}
             settings |= asdict(config) if method in ("contramap", "hilbert") else {}
             result = cached_run(
                 out / "runs" / f"{dataset}-{name}-{protocol}-{method}-{seed}.json",
@@ -172,7 +172,7 @@ def semantic_table(summary: dict[str, Any]) -> str:
             "ContraMap's gain (wins)",
             "accuracy",
             "AUROC wrong",
-            "by all doubt",
+            "by p(uncertain)",
         ),
         *("AUROC unobserved", "Brier", "training, CPU (wall) [s]", "asking [s]"),
     ]
