@@ -100,7 +100,7 @@ def test_doubt_is_the_lead_that_a_label_lacks(fitted):
     shares = np.array([[0.5, 0.5, 0.0], [1.0, 0.0, 0.0], [0.2, 0.1, 0.7]], np.float32)
     np.testing.assert_allclose(label_doubt(shares), [1.0, 0.0, 0.5], atol=1e-6)
     np.testing.assert_array_equal(label_doubt(np.ones((2, 1), np.float32)), 0)
-    X, y = street(800, seed=1)
+    X, _ = street(800, seed=1)
     known, uncertain = fitted.predict_known(X)
     for answer in (fitted.predict_labels(X), labels_of(fitted.predict_proba(X))):
         np.testing.assert_array_equal(answer.label, known.argmax(1))
