@@ -14,6 +14,7 @@ import numpy as np
 from mapping.checks import checked_points
 from mapping.config import FitConfig
 from mapping.errors import ConfigError, DataError
+from mapping.freed_memory import give_back
 from mapping.hashed_hinges import HashedHinges, cube_by_cube, filled_nodes, hinges_at
 from mapping.hashed_tiles import shares_at
 from mapping.label_doubt import Labels, label_doubt
@@ -159,6 +160,8 @@ class MultiscaleMap:
             shares = shares_at(X, self.hinges, self.W, self._offset(), columns, len(columns))
             labels = true_labels(y, shares[:, : len(self.known)], whole.wrong)
             self._fit_labels(samples, X, labels, config.mended_penalty * l2, self.W)
+        del samples, labels
+        give_back()
         return self
 
     def _fit_labels(

@@ -98,6 +98,7 @@ OTHER = {
     "mesh.margin": 0.01,
     "map.far_uncertainty": 0.5,
     "map.fit.max_iterations": 3,
+    "map.fit.renew": 5,
 }
 """Values that must be felt, where half as much again is not enough."""
 TOGETHER = {

@@ -19,8 +19,8 @@ from tools.map_frame import map_frame
 from tools.occupancy.command import occupancy
 from tools.reproduce import commands as reproduced
 from tools.scaling import scaling
+from tools.semantic.benchmark import semantic_benchmark
 from tools.semantic.command import semantic
-from tools.semantic.scaling import semantic_scaling
 from tools.serve import serve
 from tools.serving.benchmark import serve_benchmark
 from tools.simulate import fetch_ycb, scenes
@@ -68,7 +68,7 @@ GROUPS: dict[str, dict[str, Command]] = {
     "benchmark": {
         "latency": latency,
         "scaling": scaling,
-        "semantic": semantic_scaling,
+        "semantic": semantic_benchmark,
         "serve": serve_benchmark,
         "grasps": grasps,
     },

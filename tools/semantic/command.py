@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json as json_text
-import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -89,14 +88,13 @@ def map_scans(
 ) -> dict[str, Any]:
     """The command's work; returns its figures. Raises ConfigError or DataError for bad input."""
     import numpy as np
-    from tqdm import tqdm
 
     from mapping.multiscale import MultiscaleConfig, Whole
     from tools.semantic.inputs import read_scans
     from tools.semantic.pictures import draw_above, record_scans, write_cloud
     from tools.semantic.queries import write_answers
-    from tools.semantic.tiles import Job, create_store, fit_tile, plan_tiles, write_tile
-    from tools.semantic.workers import run_tasks
+    from tools.semantic.tiles import Job, create_store, plan_tiles
+    from tools.semantic.workers import make_tiles
 
     clouds = read_scans(scans, seed)
     names = clouds[0].names
@@ -110,13 +108,7 @@ def map_scans(
     job = Job(out, plan, config, whole, seed)
     _prepare(job, X, y, overwrite)
     create_store(job, names)
-    tiles = list(plan.tiles())
-    seconds = {}
-    for task, name in ((fit_tile, "fit"), (write_tile, "voxels")):
-        start = time.perf_counter()
-        with tqdm(total=len(tiles), desc=f"tiles: {name}", disable=None) as bar:
-            run_tasks(task, job, tiles, workers, engine, lambda bar=bar: bar.update())  # type: ignore[misc]
-        seconds[f"{name}_s"] = time.perf_counter() - start
+    tiles, seconds = list(plan.tiles()), make_tiles(job, workers, engine)
     skipped: dict[str, int] = {}
     for cloud in clouds:
         for reason, count in cloud.skipped.items():

@@ -1,4 +1,4 @@
-"""`contramap benchmark semantic`: time and memory of a semantic map against samples and hinge points.
+"""Time and memory of a semantic map against samples and hinge points.
 
 Knows made-up streets and what fits of them cost; must not know scans.
 """
@@ -7,20 +7,17 @@ from __future__ import annotations
 
 import resource
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import tyro
 
-from mapping.errors import ConfigError
-from mapping.files import write_atomically
+from mapping.errors import DataError
 from tools.markdown import markdown_table
-from tools.options import write_json
-from tools.provenance import provenance
+from tools.runs.kept import cached_run
 from tools.runs.workers import CRASHED, run_in_workers
 
 QUERIES = 100_000
@@ -54,48 +51,27 @@ class Point:
     threads: int
 
 
-def semantic_scaling(
-    *,
-    out: Path,
-    samples: tuple[int, ...] = (10_000, 100_000, 1_000_000, 10_000_000),
-    scales: tuple[float, ...] = (16.0, 5.0, 1.6, 0.6),
-    threads: int = 1,
-    seed: int = 0,
-    json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
-) -> None:
-    """Measure a semantic map's time and memory against samples and hinge points, and work out a city.
+def sweeps(
+    out: Path, samples: tuple[int, ...], scales: tuple[float, ...], threads: int, seed: int
+) -> dict[str, Any]:
+    """Time and memory against samples, and against hinge points alone, with exponents, and a city worked out.
 
-    Made-up streets: samples and hinge points grow together, then hinge points alone. A process each.
-    Example: contramap benchmark semantic --out curves --samples 10000 100000
-
-    Args:
-        out: Folder for scaling.json and table.md.
-        samples: Numbers of samples, with a tenth as many hinge points.
-        scales: Factors of all distances of hinge points, with a million samples (or the most, if fewer).
-        threads: Threads of each measurement.
-        seed: Seed of the samples.
-        json: Also write the figures to this file.
+    A measurement that is under out/runs is not made again.
     """
     from tqdm import tqdm
 
-    if not samples or min(samples) < 100 or not scales or min(scales) <= 0 or threads < 1:
-        raise ConfigError("--samples must be at least 100 each, --scales > 0, --threads at least 1")
     most = min(SAMPLES, max(samples))
-    sweeps = {
+    points = {
         "together": [Point(n, side_of(n), 1.0, threads) for n in samples],
         "hinges": [Point(most, 2 * side_of(most), scale, threads) for scale in scales],
     }
     figures: dict[str, Any] = {"threads": threads, "queries": QUERIES}
-    for sweep, points in sweeps.items():
-        rows = [_measured(point, seed) for point in tqdm(points, desc=sweep, disable=None)]
+    for sweep, some in points.items():
+        rows = [_measured(out, point, seed) for point in tqdm(some, desc=sweep, disable=None)]
         against = "samples" if sweep == "together" else "hinges"
         figures[sweep] = {"rows": rows, "exponents": exponents(rows, against)}
     figures["city"] = city(figures["together"]["rows"][-1])
-    write_json(figures, out / "scaling.json")
-    write_json(figures, json)
-    table = scaling_table(figures)
-    write_atomically(out / "table.md", f"{provenance()}\n\n{table}".encode())
-    print(table)
+    return figures
 
 
 def side_of(samples: int) -> float:
@@ -235,9 +211,18 @@ def scaling_table(figures: dict[str, Any]) -> str:
     return "\n".join(parts)
 
 
-def _measured(point: Point, seed: int) -> dict[str, Any]:
-    (done,) = run_in_workers(partial(measure, seed=seed), [point], 1, point.threads)
-    return done.result or {"samples": point.samples, "skipped": str(done.error or CRASHED)}
+def _measured(out: Path, point: Point, seed: int) -> dict[str, Any]:
+    def run() -> dict[str, Any]:
+        (done,) = run_in_workers(partial(measure, seed=seed), [point], 1, point.threads)
+        if done.result is None:
+            raise DataError(str(done.error or CRASHED))
+        return done.result
+
+    name = f"curve-{point.samples}-{point.scale:g}-{point.side:.0f}.json"
+    try:
+        return cached_run(out / "runs" / name, {**asdict(point), "seed": seed}, run)
+    except DataError as error:
+        return {"samples": point.samples, "skipped": str(error)}  # not kept: tried again the next time
 
 
 def _peak_mb() -> float:

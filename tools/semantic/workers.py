@@ -1,10 +1,11 @@
 """Tasks on this machine's processes or on a Ray cluster; a worker that dies costs a retry, not the run.
 
-Knows functions of a job and a tile; must not know what they do.
+Knows tasks of a job and a tile, and their order; must not know what they do.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from functools import partial
 
@@ -12,11 +13,29 @@ from mapping.errors import DataError
 from mapping.threads import thread_count
 from tools.runs.ray_cluster import ray_cluster
 from tools.runs.workers import run_in_workers
-from tools.semantic.tiles import Job, Tile
+from tools.semantic.tiles import Job, Tile, fit_tile, write_tile
 
 Task = Callable[[Job, Tile], None]
 RETRIES = 3
 """Times that a task is tried again after its worker died."""
+
+
+def make_tiles(
+    job: Job, workers: int, engine: str, wrap: Callable[[Task], Task] = lambda task: task
+) -> dict[str, float]:
+    """Fit every tile's map, then write its voxels, what is done already left out: seconds of both.
+
+    wrap: what is made of a task before it is run.
+    """
+    from tqdm import tqdm
+
+    tiles, seconds = list(job.plan.tiles()), {}
+    for task, name in ((fit_tile, "fit"), (write_tile, "voxels")):
+        start = time.perf_counter()
+        with tqdm(total=len(tiles), desc=f"tiles: {name}", disable=None) as bar:
+            run_tasks(wrap(task), job, tiles, workers, engine, bar.update)
+        seconds[f"{name}_s"] = time.perf_counter() - start
+    return seconds
 
 
 def run_tasks(
