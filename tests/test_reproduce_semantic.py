@@ -21,8 +21,11 @@ RAW = np.array([40, 50, 80], np.uint32)  # road, building, pole
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory) -> Path:
+    return street_sequence(tmp_path_factory.mktemp("kitti"))
+
+
+def street_sequence(folder: Path) -> Path:
     """A data set of one sequence with two scans of a street, the second one 1 m further on."""
-    folder = tmp_path_factory.mktemp("kitti")
     sequence = folder / "sequences" / "00"
     for part in ("velodyne", "labels"):
         (sequence / part).mkdir(parents=True)

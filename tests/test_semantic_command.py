@@ -190,6 +190,7 @@ def test_weights_of_tiles_sum_to_one_inside():
     [
         (["nothing.npz"], "no such file"),
         (["scan.npz", "--tile", "0"], "--tile must be > 0"),
+        (["scan.npz", "--tolerance", "0"], "--tolerance must be > 0"),
         (["scan.npz", "--query", "wrong.npy"], "wants finite points"),
         (["scan.npz", "other.npz"], "other classes"),
         (["unlabelled.npz"], "no point of these scans has a label"),

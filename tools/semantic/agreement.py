@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
@@ -89,14 +89,6 @@ def one_against_many(trial: TilesTrial) -> dict[str, float]:
         **{f"away_{q}": float(np.quantile(gap[away], q / 100)) for q in (50, 90, 99)},
         **{f"seams_{q}": float(np.quantile(gap[~away], q / 100)) for q in (50, 90, 99)},
     }
-
-
-def with_tolerance(config: MultiscaleConfig, tolerance: float | None) -> MultiscaleConfig:
-    """The settings with fits that go on until steps win less than this; None: as they are."""
-    if tolerance is None:
-        return config
-    # Long fits are worth a longer memory.
-    return replace(config, fit=replace(config.fit, tolerance=tolerance, memory=16, max_iterations=5000))
 
 
 def killed_against_whole(scans: tuple[Path, ...], folder: Path, seed: int) -> dict[str, float]:

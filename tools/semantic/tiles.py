@@ -7,7 +7,7 @@ writes only files of its own, whole or not at all, so it can be run again, anywh
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -175,6 +175,15 @@ def create_store(job: Job, names: tuple[str, ...]) -> None:
     chunks = (job.plan.side, job.plan.side, job.plan.counts[2])
     for name, kind, fill in VOXELS:
         store.create_array(name, shape=job.plan.counts, chunks=chunks, dtype=kind, fill_value=fill)
+
+
+def with_tolerance(config: MultiscaleConfig, tolerance: float | None) -> MultiscaleConfig:
+    """The settings with fits that go on until a step lowers the mean loss [nats] by less; None: as they are."""
+    if tolerance is None:
+        return config
+    # Long fits are worth a longer memory.
+    memory = 16 if tolerance < config.fit.tolerance else config.fit.memory
+    return replace(config, fit=replace(config.fit, tolerance=tolerance, memory=memory, max_iterations=5000))
 
 
 def plan_tiles(X: np.ndarray, voxel: float, tile: float, overlap: float) -> TilePlan:
