@@ -20,7 +20,7 @@ from tools.reproduce.semantic.run import miou
 from tools.reproduce.semantic.scenes import load_scene
 from tools.runs.workers import run_in_workers
 from tools.semantic.inputs import read_scans
-from tools.semantic.tiles import Job, Tile, ask_tiles, create_store, fit_tile, plan_tiles
+from tools.semantic.tiles import Job, Tile, ask_tiles, create_store, fit_tile, plan_tiles, with_tolerance
 from tools.semantic.workers import Task, make_tiles
 from tools.stopwatch import Stopwatch
 

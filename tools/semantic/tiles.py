@@ -178,7 +178,7 @@ def create_store(job: Job, names: tuple[str, ...]) -> None:
 
 
 def with_tolerance(config: MultiscaleConfig, tolerance: float | None) -> MultiscaleConfig:
-    """The settings with fits that go on until a step lowers the mean loss [nats] by less; None: as they are."""
+    """Settings whose fits go on until a step lowers the mean loss [nats] by less; None: as they are."""
     if tolerance is None:
         return config
     # Long fits are worth a longer memory.
