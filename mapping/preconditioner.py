@@ -45,7 +45,8 @@ class SparseFactor:
 
 
 def sparse_factor(diagonal: torch.Tensor, hinges: np.ndarray, gamma: np.ndarray) -> SparseFactor:
-    """Factor for the Gram matrix of Gaussian features, from its diagonal (H,) and closed forms.
+    """Factor for the Gram matrix of Gaussian features, from its diagonal, (H,) or each class's (H, C), and
+    closed forms.
 
     Two features correlate as their L2 inner product: exact for samples of even density, close enough to
     guide a fit for others, positive definite always, and no sum over samples is needed.
@@ -65,11 +66,13 @@ def sparse_factor(diagonal: torch.Tensor, hinges: np.ndarray, gamma: np.ndarray)
     with Threads(diagonal.device) as threads:
         parts = zip(*threads.map(rows_of, threads.split(count)))
     columns, values = (torch.from_numpy(np.concatenate(part)).to(diagonal.device) for part in parts)
-    values *= diagonal.rsqrt()[columns.long()]
+    scale = diagonal.rsqrt() if diagonal.ndim == 2 else None
+    if scale is None:
+        values *= diagonal.rsqrt()[columns.long()]
     width = NEIGHBOURS + 1
     offsets = torch.arange(0, len(columns), width, dtype=torch.int32, device=diagonal.device)
     lower = SparseRows(offsets, columns, values)
-    return SparseFactor(lower, lower.transposed(count))
+    return SparseFactor(lower, lower.transposed(count), scale)
 
 
 @compiled

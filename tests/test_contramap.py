@@ -94,6 +94,10 @@ def test_the_fit_gets_near_the_optimum_in_few_steps(data):
     patient = ContraMap(MapConfig(gamma=300.0, fit=patient_fit)).fit(X, y, hinges=hinges)
     assert quick.report.losses[-1] - patient.report.losses[-1] < 5e-3
     assert quick.report.iterations < 100
+    renewed_fit = FitConfig(tolerance=1e-8, max_iterations=3000, renew=5)
+    renewed = ContraMap(MapConfig(gamma=300.0, fit=renewed_fit)).fit(X, y, hinges=hinges)
+    assert renewed.report.losses[-1] == pytest.approx(patient.report.losses[-1], abs=1e-5)
+    assert renewed.report.iterations < patient.report.iterations
 
 
 @pytest.mark.parametrize("share", [0.9, 0.95, 0.99])

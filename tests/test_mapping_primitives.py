@@ -179,6 +179,13 @@ def test_the_factor_is_exact_when_every_row_couples_to_all_earlier_ones():
     eigenvalues = np.linalg.eigvalsh(whitened)
     assert 0.2 < np.median(eigenvalues) <= eigenvalues.max() < 1.05
     np.testing.assert_allclose(factor.push(torch.eye(count)).numpy(), G.T, atol=1e-6)
+    # A diagonal for each class: each column as its own factor has it.
+    both = sparse_factor(torch.from_numpy(np.column_stack([diagonal, 5 * diagonal])), places, gamma)
+    g = torch.from_numpy(rng.normal(size=(count, 2)).astype(np.float32))
+    other = sparse_factor(torch.from_numpy(5 * diagonal), places, gamma)
+    for ours, theirs, alone in ((both.pull, factor.pull, other.pull), (both.push, factor.push, other.push)):
+        want = torch.cat([theirs(g[:, :1]), alone(g[:, 1:])], 1)
+        torch.testing.assert_close(ours(g), want, atol=1e-5, rtol=1e-5)
 
 
 def test_the_factor_improves_the_condition_number():
