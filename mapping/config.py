@@ -27,8 +27,8 @@ class FitConfig(Checked):
     memory: Count = 8
     """Pairs of steps that L-BFGS remembers."""
     renew: CountOrNone = 0
-    """The curvature of each class is worked out after so many steps, and each time these have doubled: half
-    the steps, for fits that take longer than some milliseconds. 0: never."""
+    """The curvature of each class is worked out after so many steps, and each time these have doubled: where
+    classes are sure half the steps, for fits that take longer than some milliseconds. 0: never."""
 
 
 @dataclass(frozen=True)
