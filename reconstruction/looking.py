@@ -2,12 +2,13 @@
 
 Knows a fitted map, the places of its objects and camera poses; knows nothing of how views come about. A ray
 shows what lies on it up to the first thing that the map knows; what is uncertain is taken to be transparent.
+What a view before has shown already, and is uncertain still, another one is not expected to tell.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,7 @@ import numpy as np
 from mapping.errors import ConfigError
 from perception.camera import Camera, invert_rigid, transform
 from perception.observation import near_boxes
+from perception.views.joint import JointObservation
 
 if TYPE_CHECKING:
     from mapping.contramap import ContraMap
@@ -61,7 +63,8 @@ class UncertainSpace:
     """The map around objects as rays meet it, in the table frame.
 
     Node (i, j, k) lies at origin + spacing * (i, j, k) [m]. known: (nx, ny, nz) P(some object) with the
-    uncertain class counted against it; points: (M, 3) uncertain nodes with their p(uncertain) weights (M,).
+    uncertain class counted against it; points: (M, 3) uncertain nodes with their p(uncertain) weights (M,);
+    shown: (M,) how openly views so far see them, 0..1, None for not at all.
     """
 
     origin: np.ndarray
@@ -69,6 +72,7 @@ class UncertainSpace:
     known: np.ndarray
     points: np.ndarray
     weights: np.ndarray
+    shown: np.ndarray | None = None
 
     @classmethod
     def of(
@@ -89,17 +93,30 @@ class UncertainSpace:
         counted = counted[:: 1 + len(counted) // ASKED]
         return cls(low, spacing, known, nodes[counted], uncertain[counted])
 
+    def seen_by(self, camera: Camera, T_camera_table: np.ndarray) -> UncertainSpace:
+        """The same when a view has been taken."""
+        open_ray = self._open(camera, T_camera_table)
+        return replace(self, shown=open_ray if self.shown is None else np.maximum(self.shown, open_ray))
+
     def gain(self, camera: Camera, T_camera_table: np.ndarray) -> float:
         """Share of the uncertainty that a view is expected to take away."""
         if not len(self.points):
             return 0.0
+        open_ray = self._open(camera, T_camera_table)
+        if self.shown is not None:
+            open_ray = np.maximum(open_ray - self.shown, 0)
+        return float((self.weights * open_ray).sum() / self.weights.sum())
+
+    def _open(self, camera: Camera, T_camera_table: np.ndarray) -> np.ndarray:
+        """How openly a view sees each of the points: (M,) in 0..1."""
         pixel, depth = camera.project(transform(T_camera_table, self.points))
         with np.errstate(invalid="ignore"):
             inside = (pixel > -0.5).all(1) & (pixel < np.array([camera.width, camera.height]) - 0.5).all(1)
         seen = np.flatnonzero((depth > 0) & inside)
         eye = invert_rigid(T_camera_table)[:3, 3].astype(np.float32)
-        open_ray = 1 - self._hidden(self.points[seen], eye)
-        return float((self.weights[seen] * open_ray).sum() / self.weights.sum())
+        open_ray = np.zeros(len(self.points), np.float32)
+        open_ray[seen] = 1 - self._hidden(self.points[seen], eye)
+        return open_ray
 
     def _hidden(self, points: np.ndarray, eye: np.ndarray) -> np.ndarray:
         """The most that anything known stands between points (N, 3) and the eye (3,): (N,) in 0..1."""
@@ -134,31 +151,37 @@ def next_view(
     poses = np.asarray(poses, float)
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
         raise ConfigError(f"poses must be (P, 4, 4) with P >= 1, got shape {poses.shape}")
-    model, frame, floor = _parts(reconstruction)
-    camera = camera or frame
+    model, taken, floor = _parts(reconstruction)
+    camera = camera or taken[0]
     T_table_world = invert_rigid(reconstruction.T_world_table)
     boxes = []
     for item in reconstruction.objects:
         local = transform(T_table_world, np.asarray(item.mesh.vertices))
         boxes.append((local.min(0), local.max(0)))
     space = UncertainSpace.of(model, boxes, floor)
+    for view in taken:
+        space = space.seen_by(view, invert_rigid(view.T_world_camera) @ reconstruction.T_world_table)
     gains = [space.gain(camera, invert_rigid(pose) @ reconstruction.T_world_table) for pose in poses]
     return NextView(poses, np.array(gains))
 
 
-def _parts(reconstruction: Reconstruction | StoredResult) -> tuple[ContraMap, Camera, float | None]:
-    """The map, the camera, and the height of the floor in the table frame."""
+def _parts(reconstruction: Reconstruction | StoredResult) -> tuple[ContraMap, list[Camera], float | None]:
+    """The map, the cameras of its views, and the height of the floor in the table frame."""
     from reconstruction.files.stored import StoredResult
 
     if isinstance(reconstruction, StoredResult):
-        return reconstruction.map(), reconstruction.frame().camera, reconstruction.scene["floor"]
-    return reconstruction.map, reconstruction.frame.camera, reconstruction.floor
+        cameras = [frame.camera for frame in reconstruction.frames()]
+        return reconstruction.map(), cameras, reconstruction.scene["floor"]
+    seen = reconstruction.observation
+    frames = [view.frame for view in seen.views] if isinstance(seen, JointObservation) else []
+    cameras = [frame.camera for frame in frames or [reconstruction.frame]]
+    return reconstruction.map, cameras, reconstruction.floor
 
 
 def poses_around(reconstruction: Reconstruction | StoredResult, count: int) -> np.ndarray:
     """(count, 4, 4) T_world_camera all around the objects, as far from their middle as the frame's camera and
     as high above it, the first one where that camera is."""
-    T = _parts(reconstruction)[1].T_world_camera
+    T = _parts(reconstruction)[1][0].T_world_camera
     T_table_world = invert_rigid(reconstruction.T_world_table)
     corners = np.array([item.mesh.bounds for item in reconstruction.objects])
     middle = transform(T_table_world, (corners[:, 0].min(0) + corners[:, 1].max(0)) / 2)

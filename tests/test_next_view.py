@@ -11,7 +11,7 @@ from conftest import look_at, make_tabletop
 
 from mapping.errors import ConfigError
 from perception.camera import Camera, invert_rigid
-from reconstruction import reconstruct
+from reconstruction import load_result, reconstruct
 from reconstruction.files import result_folder
 from reconstruction.looking import UncertainSpace, next_view, poses_around
 from reconstruction.result import Reconstruction
@@ -53,6 +53,32 @@ def test_a_known_wall_hides_what_is_behind_it() -> None:
     assert space.gain(CAMERA, before) == pytest.approx(0.5)
     above = invert_rigid(look_at((10.0, 4.5, 80.0), (10.0, 4.6, 0.0)))
     assert space.gain(CAMERA, above) == pytest.approx(1.0)
+
+
+def test_what_a_view_has_shown_is_not_expected_again() -> None:
+    """Of two uncertain groups left and right of a wall, the one that was looked at stays uncertain."""
+    known = np.zeros((20, 10, 10), np.float32)
+    known[10] = 1
+    x = np.repeat([4, 16], 5).astype(np.float32)
+    points = np.stack([x, *np.tile(np.arange(3, 8), (2, 2)).astype(np.float32)], 1)
+    space = UncertainSpace(np.zeros(3), 1.0, known, points, np.ones(10))
+    left, right = (invert_rigid(look_at((side, 4.5, 4.5), (10.0, 4.5, 4.5))) for side in (-60.0, 80.0))
+    above = invert_rigid(look_at((10.0, 4.5, 80.0), (10.0, 4.6, 0.0)))
+    after = space.seen_by(CAMERA, left)
+    assert after.gain(CAMERA, left) == pytest.approx(0.0)
+    assert after.gain(CAMERA, right) == pytest.approx(0.5)
+    assert after.gain(CAMERA, above) == pytest.approx(0.5)
+    assert after.seen_by(CAMERA, right).gain(CAMERA, above) == pytest.approx(0.0)
+
+
+def test_the_views_of_a_map_are_worth_nothing_once_more(result: Reconstruction, tmp_path: Path) -> None:
+    poses = poses_around(result, 6)
+    both = result.update(make_tabletop(eye=poses[3][:3, 3], size=(160, 120)).frame)
+    found = next_view(both, poses)
+    assert found.gains[[0, 3]].max() < 0.3 * found.gains.max()
+    result_folder.save_reconstruction(both, tmp_path / "map", whole=False)
+    stored = next_view(load_result(tmp_path / "map"), poses)
+    np.testing.assert_allclose(stored.gains, found.gains, atol=0.01)
 
 
 def test_no_poses_are_refused(result: Reconstruction) -> None:

@@ -32,6 +32,8 @@ TABLE = 0.6
 """Half the side of the table [m]."""
 VOXEL = 0.01
 """Voxels that uncertainty is summed over, and rear sides are counted in [m]."""
+AROUND_ALL = 6
+"""Views that take the circle once round, in steps of 60 degrees."""
 AROUND = 0.03
 """They lie within this distance of the true objects' boxes [m]."""
 
@@ -85,8 +87,8 @@ class World:
 
 
 def main(
-    scenes: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
-    views: int = 5,
+    scenes: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="DIR")],
+    views: int = 4,
     candidates: int = 12,
     limit: int = 100,
     first: int = 0,
@@ -97,11 +99,11 @@ def main(
     """Compare rules that choose the next view.
 
     Args:
-        scenes: Scenes with truth, as `contramap scenes` makes them.
-        views: Views in all, the first one included.
+        scenes: Folders of scenes with truth, as `contramap scenes` makes them.
+        views: Views in all, the first one included; the circle goes on to six.
         candidates: Poses on the circle.
-        limit: Scenes, at most.
-        first: Scenes passed over before.
+        limit: Scenes of each folder, at most.
+        first: Scenes of each folder passed over before.
         ycb: Folder of YCB scans, for scenes made of them.
         out: Also write the table to this Markdown file.
         json: Also write what was left after each view to this file, scene by scene; those that it has are
@@ -114,9 +116,13 @@ def main(
     from sim_scenes.truth import TRUTH_FILE, load_truth
     from tools.options import write_json
 
-    folders = sorted(path.parent for path in Path(scenes).glob(f"*/{TRUTH_FILE}"))[first : first + limit]
-    if not folders or views < 2 or candidates < views:
-        raise ConfigError(f"{scenes}: no scenes here, or --views {views} below 2 or above --candidates")
+    found = [sorted(path.parent for path in part.glob(f"*/{TRUTH_FILE}")) for part in scenes]
+    folders = [folder for of_set in found for folder in of_set[first : first + limit]]
+    if not folders or views < 2 or candidates < max(views, AROUND_ALL):
+        places = " ".join(map(str, scenes))
+        raise ConfigError(
+            f"{places}: no scenes here, or --views {views} below 2, or --candidates below it or {AROUND_ALL}"
+        )
     left: dict[str, dict[str, list[float]]] = {}
     if json is not None and json.is_file():
         left = dict(read_json(json)["left"])
@@ -125,7 +131,7 @@ def main(
         if name not in left:
             left[name] = of_scene(load_truth(folder, ycb), folder, views, candidates)
             write_json({"views": views, "candidates": candidates, "left": left}, json)
-    text = table(list(left.values()), views)
+    text = table([left[str(folder.resolve())] for folder in folders], views)
     print(text)
     if out is not None:
         write_atomically(out, (HEAD.format(candidates=candidates) + text).encode())
@@ -145,15 +151,21 @@ def of_scene(truth: Truth, folder: Path, views: int, candidates: int) -> dict[st
     poses = poses_around(start, candidates)
     voxels = world.voxels
     whole = uncertainty(start, voxels)
+    seen: dict[tuple[int, ...], Reconstruction] = {(): start}  # rules often agree
+    left = {(): 1.0}
     found = {}
     for rule, choose in RULES.items():
         rng = np.random.default_rng(len(truth.objects))
-        result, open_poses, curve = start, list(range(1, candidates)), [1.0]
-        for step in range(1, views):
-            index = choose(result, poses, open_poses, step, rng)
-            open_poses.remove(index)
-            result = result.update(world.frame(poses[index]))
-            curve.append(uncertainty(result, voxels) / whole)
+        taken: tuple[int, ...] = ()
+        curve = [1.0]
+        for step in range(1, max(views, AROUND_ALL) if rule == "circle" else views):
+            free = [index for index in range(1, candidates) if index not in taken]
+            index = choose(seen[taken], poses, free, step, rng)
+            before, taken = taken, (*taken, index)
+            if taken not in seen:
+                seen[taken] = seen[before].update(world.frame(poses[index]))
+                left[taken] = uncertainty(seen[taken], voxels) / whole
+            curve.append(left[taken])
         found[rule] = curve
     return found
 
@@ -238,23 +250,26 @@ def table(curves: Sequence[dict[str, list[float]]], views: int) -> str:
     from scipy.stats import wilcoxon
 
     rows = {rule: np.array([curve[rule] for curve in curves]) for rule in RULES}
-    lines = ["| rule | " + " | ".join(f"{n} views" for n in range(2, views + 1)) + " |"]
-    lines.append("|---|" + "---|" * (views - 1))
+    most = max(values.shape[1] for values in rows.values())
+    lines = ["| rule | " + " | ".join(f"{n} views" for n in range(2, most + 1)) + " |"]
+    lines.append("|---|" + "---|" * (most - 1))
     for rule, values in rows.items():
-        lines.append(f"| {rule} | " + " | ".join(f"{v:.3f}" for v in values.mean(0)[1:]) + " |")
+        means = [f"{v:.3f}" for v in values.mean(0)[1:]] + ["-"] * (most - values.shape[1])
+        lines.append(f"| {rule} | " + " | ".join(means) + " |")
     lines.append("")
-    circle = rows["circle"].mean(0)
-    reached = np.flatnonzero(rows["look"].mean(0) <= circle[-1])
-    after = f"after {reached[0] + 1} views" if len(reached) else f"not within {views} views"
-    lines.append(f"What the circle leaves after {views} views, look leaves {after}.")
+    look, circle = rows["look"].mean(0), rows["circle"].mean(0)
+    for n in range(2, most + 1):
+        reached = np.flatnonzero(look <= circle[n - 1])
+        after = f"after {reached[0] + 1} views" if len(reached) else f"not after {views} views"
+        lines.append(f"- What the circle leaves after {n} views, look leaves {after}.")
     for rule in ("rear side", "circle", "random"):
-        for n in (1, views - 1):
+        for n in range(1, views):
             apart = rows["look"][:, n] - rows[rule][:, n]
             p = wilcoxon(apart).pvalue if len(apart) > 5 and np.any(apart) else float("nan")
             better = int((apart < 0).sum())
             lines.append(
                 f"- {n + 1} views: look leaves less than {rule} in {better} of {len(apart)} scenes, "
-                f"{apart.mean():+.3f} on average (p = {p:.3f})"
+                f"{apart.mean():+.3f} on average (p = {p:.2g})"
             )
     return "\n".join(lines) + f"\n\n{len(curves)} scenes.\n"
 

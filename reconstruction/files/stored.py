@@ -66,6 +66,10 @@ class StoredResult:
         """The frame the result was made from; raises DataError when it is missing or damaged."""
         return read_frame(self.folder)
 
+    def frames(self) -> list[Frame]:
+        """All views that it was made from, the frame alone where there is one; raises DataError as frame."""
+        return read_views(self.folder, len(self.scene.get("views", [None])))
+
     def map(self) -> ContraMap:
         """The fitted map, in the table frame."""
         from mapping.model_io import load_map
@@ -110,8 +114,7 @@ class StoredResult:
             raise DataError(
                 f"{self.folder / 'scene.json'}: its settings cannot be used ({error}); map the frame again"
             ) from error
-        views = read_views(self.folder, len(self.scene.get("views", [None])))
-        observation = observe_again(views, config.perception, seed, self.T_world_table)
+        observation = observe_again(self.frames(), config.perception, seed, self.T_world_table)
         if [item.label for item in observation.objects] != [label for label in columns if label > 0]:
             raise DataError(f"{self.folder}: its frame shows other objects than its map; map the frame again")
         return self.map(), observation, space_of(observation, config.perception)
