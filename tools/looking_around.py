@@ -152,7 +152,7 @@ def of_scene(truth: Truth, folder: Path, views: int, candidates: int) -> dict[st
     voxels = world.voxels
     whole = uncertainty(start, voxels)
     seen: dict[tuple[int, ...], Reconstruction] = {(): start}  # rules often agree
-    left = {(): 1.0}
+    left: dict[tuple[int, ...], float] = {(): 1.0}
     found = {}
     for rule, choose in RULES.items():
         rng = np.random.default_rng(len(truth.objects))
