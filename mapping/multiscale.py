@@ -75,7 +75,7 @@ class MultiscaleConfig(Checked):
     """Share of a sample's disagreement with its neighbours that becomes "uncertain" instead of its class."""
     far_uncertainty: OpenShare = 0.95
     """p(uncertain) out of reach of every hinge point."""
-    fit: FitConfig = field(default_factory=lambda: FitConfig(tolerance=2e-4, memory=4, renew=10))
+    fit: FitConfig = field(default_factory=lambda: FitConfig(tolerance=4e-4, memory=4, renew=8))
     """How the loss is minimised."""
 
 

@@ -28,7 +28,7 @@ def semantic_benchmark(
     data: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     sequences: tuple[str, ...] = ("05",),
     merged: str = "00",
-    tolerances: tuple[float, ...] = (2e-4,),
+    tolerances: tuple[float, ...] = (4e-4,),
     samples: tuple[int, ...] = (10_000, 100_000, 1_000_000, 10_000_000),
     scales: tuple[float, ...] = (16.0, 5.0, 1.6, 0.6, 0.4),
     repeat: int = 3,
