@@ -85,13 +85,13 @@ def _fit_row(name: str, found: dict[str, float]) -> list[str]:
 
 
 def _compared(name: str, found: dict[str, float]) -> str:
-    """Times of all methods, and how many times ContraMap's they are."""
+    """Times of all methods, and how many times ContraMap's they are: of a processor, for not all use all."""
     from tools.semantic.costs import COMPARED
 
     header = ["first scan of " + name, "fit, wall (CPU) [s]", f"{COMPARED:,} queries, wall (CPU) [s]"]
-    table = [[*header, "queries, times ContraMap's"]]
+    table = [[*header, "queries, times ContraMap's CPU"]]
     for method in METHODS:
-        ratio = found[f"{method}_ask_s"] / found["contramap_ask_s"]
+        ratio = found[f"{method}_ask_cpu_s"] / found["contramap_ask_cpu_s"]
         times = (_time(found, f"{method}_{part}") for part in ("fit", "ask"))
         table.append([TITLES[method], *times, f"{ratio:.2f}"])
     return markdown_table(table)
