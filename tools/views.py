@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import trimesh
@@ -25,6 +25,9 @@ from sim_scenes.pose_noise import DEGREES_A_METRE, noisy_pose
 from tools.evaluation.several_views import METHODS, ManyViews
 from tools.evaluation.unions import SAMPLES, iou_of_union, surface_of_union
 from tools.exit_code import exit_code
+
+if TYPE_CHECKING:
+    from reconstruction.surface.agreement import Agreement
 
 LEAST_PIXELS = 200
 """Objects that show fewer pixels in the first view are not judged."""
@@ -209,6 +212,7 @@ def judge(scene: ManyViews, method: str, every: Sequence[Frame] = ()) -> list[di
         mutual_distances,
         sample_surface,
     )
+    from reconstruction.surface.agreement import together
 
     start = perf_counter()
     answers, auroc = METHODS[method](scene, scene.frames)
@@ -228,28 +232,27 @@ def judge(scene: ManyViews, method: str, every: Sequence[Frame] = ()) -> list[di
                 ),
                 process=False,
             )
+            frames = {id(frame): frame for frame in [*scene.frames, *every]}
+            agreed = {key: _agreement(label, whole, frame) for key, frame in frames.items()}
             row |= {
                 "chamfer_mm": 1e3 * chamfer_of_distances(distances),
                 "fscore_5mm": fscore_of_distances(distances, 0.005),
                 "iou_2_5mm": iou_of_union(answer.parts, true),
-                "agreement": _agreement(label, whole, scene.frames),
-                "agreement_all": _agreement(label, whole, every or scene.frames),
+                "agreement": together([agreed[id(frame)] for frame in scene.frames]).agreement,
+                "agreement_all": together([agreed[id(frame)] for frame in every or scene.frames]).agreement,
                 "uncertainty": answer.uncertainty,
             }
         rows.append(row)
     return rows
 
 
-def _agreement(label: int, mesh: trimesh.Trimesh, frames: Sequence[Frame]) -> float:
-    """The agreement of one object's mesh [m, world frame] with the depth images of frames."""
-    from reconstruction.surface.agreement import agreement_with_depth, together
+def _agreement(label: int, mesh: trimesh.Trimesh, frame: Frame) -> Agreement:
+    """The agreement of one object's mesh [m, world frame] with the depth image of a frame."""
+    from reconstruction.surface.agreement import agreement_with_depth
 
-    agreed = []
-    for frame in frames:
-        assert frame.labels is not None
-        T = invert_rigid(frame.camera.T_world_camera)
-        agreed.append(agreement_with_depth({label: mesh}, frame.labels, frame.depth, frame.camera, T)[label])
-    return together(agreed).agreement
+    assert frame.labels is not None
+    T = invert_rigid(frame.camera.T_world_camera)
+    return agreement_with_depth({label: mesh}, frame.labels, frame.depth, frame.camera, T)[label]
 
 
 def posed(frame: Frame, T: np.ndarray) -> Frame:
