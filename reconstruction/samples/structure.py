@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from mapping.compiled import compiled
 from perception.observation import Observation, ObservedObject
 from perception.space import Region, Space
 from perception.views.joint_space import each_view
@@ -29,7 +30,7 @@ OUTSIDE_WEIGHT = 0.02
 """How much it counts where the view measured nothing."""
 LEAST_WEIGHT = 1e-3
 """How much where it looks past the point: next to nothing."""
-LEAST_SHARE = 0.3
+LEAST_SHARE = 0.6
 """A view is not asked where its guess counts less than this, as a share of the one that counts most."""
 LEAST_CHANCE = 1e-6
 """No guess is surer than this."""
@@ -78,16 +79,35 @@ def _all_views(
     enough = LEAST_SHARE * np.maximum.reduce(known)
     for (seen, space), weight in zip(views, known):
         asked = np.flatnonzero(weight >= enough)
-        guess = np.maximum(_objects(seen, space, config, points[asked], again=True), LEAST_CHANCE)
-        columns = [place[item.label] for item in seen.objects]
+        guess = _objects(seen, space, config, points[asked], again=True)
+        columns = np.array([place[item.label] for item in seen.objects])
         areas = np.array([_area(item, space) for item in seen.objects], np.float32)
-        weights = weight[asked, None] * areas
-        cells = np.ix_(asked, np.array(columns))
-        odds[cells] += weights * np.log(guess[:, 1:] / guess[:, :1])
-        total[cells] += weights
+        _vote(odds, total, asked, columns, guess, weight, areas, np.float32(LEAST_CHANCE))
     odds = np.column_stack([np.zeros(len(points), np.float32), odds / total])
     shares = np.exp(odds - odds.max(1, keepdims=True))
     return np.asarray(shares / shares.sum(1, keepdims=True), np.float32)
+
+
+@compiled
+def _vote(
+    odds: np.ndarray,
+    total: np.ndarray,
+    asked: np.ndarray,
+    columns: np.ndarray,
+    guess: np.ndarray,
+    weight: np.ndarray,
+    areas: np.ndarray,
+    least: float,
+) -> None:
+    """Add to odds (N, K), and to the weights total (N, K), what a view guesses (M, 1 + L) of points asked
+    (M,): of its L objects, which are columns (L,) of all, with weight (N,) times areas (L,)."""
+    for i in range(len(asked)):
+        point = asked[i]
+        empty = max(guess[i, 0], least)
+        for k in range(len(columns)):
+            own = weight[point] * areas[k]
+            odds[point, columns[k]] += own * np.log(max(guess[i, k + 1], least) / empty)
+            total[point, columns[k]] += own
 
 
 def _weight(space: Space, points: np.ndarray) -> np.ndarray:
