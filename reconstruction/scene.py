@@ -18,6 +18,7 @@ from perception.views.choosing import without_the_least_new
 from perception.views.joint import JointObservation, View
 from perception.views.observing_together import observe_together
 from perception.views.placing import relabelled
+from perception.views.repeated import same_view
 from perception.views.touching import touches
 from reconstruction.bounding import bounds, upright_box
 from reconstruction.config import PipelineConfig, pipeline_of
@@ -63,6 +64,8 @@ def reconstruct(
     frames = (frame,) if isinstance(frame, Frame) else tuple(frame)
     if not frames:
         raise FrameError("no frame to map: the list of views is empty")
+    if all(same_view(frames[0], other) for other in frames[1:]):
+        frames = frames[:1]  # of one view there is nothing to join
     return _clocked(FittedScene.of(frames[0], config or PipelineConfig(), seed, frames[1:], track))
 
 
@@ -81,8 +84,8 @@ def update(
         known = without_the_least_new(known, keep - 1, frame.camera)
     joint = observe_together([frame], config.perception, result.seed, track, known)
     if [view.number for view in joint.views] == [view.number for view in known]:
-        # The frame says nothing that may be believed: the map stays, and why is noted.
-        if not any("contradicts" in note for note in joint.notes):
+        # The frame says nothing that is new, or may be believed: the map stays, and why is noted.
+        if not any("contradicts" in note or "once more" in note for note in joint.notes):
             raise FrameError("; ".join(joint.notes) or f"{frame.source}: shows no object to map")
         return replace(result, notes=tuple(dict.fromkeys([*result.notes, *joint.notes])))
     numbers = {view.number for view in known}

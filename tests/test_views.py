@@ -114,9 +114,24 @@ def test_the_order_of_views_does_not_matter() -> None:
         assert b[item.label].mesh.volume == pytest.approx(item.mesh.volume, rel=1e-3)
 
 
-def test_one_view_twice_changes_little() -> None:
+def test_one_view_twice_changes_nothing() -> None:
     once, twice = mapped(0), mapped(0, 0)
     for item in once:
+        np.testing.assert_array_equal(twice[item.label].mesh.vertices, item.mesh.vertices)
+    joint = observe_together([*views(2), views(2)[1]])
+    assert len(joint.views) == 2
+    assert any("it is view 2 once more" in note for note in joint.notes)
+    again = mapped(0, 1).update(views(2)[1])
+    assert again.map is mapped(0, 1).map
+    assert any("once more" in note for note in again.notes)
+
+
+def test_a_camera_that_stands_still_has_another_view_with_other_noise() -> None:
+    frame = views(1)[0]
+    again = make_tabletop(eye=EYES[0], size=(160, 120), noise=0.001, seed=7).frame
+    assert len(observe_together([frame, again]).views) == 2
+    twice = reconstruct([frame, again])
+    for item in mapped(0):
         apart = Solid(twice[item.label].mesh).distance(item.mesh.sample(800, seed=0))
         assert np.mean(apart) < 0.001
 

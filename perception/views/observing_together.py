@@ -21,6 +21,7 @@ from perception.views.disagreement import Left, contradictions, pixels_at, to_le
 from perception.views.joint import JointObservation, View, join
 from perception.views.matching import match
 from perception.views.placing import moved, relabelled, without_pixels
+from perception.views.repeated import same_view
 
 
 def observe_together(
@@ -36,14 +37,18 @@ def observe_together(
     track: equal label numbers are the same object in all frames; else names must agree too, or the place
     decides. known: views of the scene that were observed before; their labels and table frame stay. ordered:
     the first frame leads; by default the poses decide, so that the order of frames changes nothing. Views
-    that contradict the others are left out, and named in the notes. Raises FrameError when no frame shows an
-    object.
+    that contradict the others, or are another one once more, are left out, and named in the notes. Raises
+    FrameError when no frame shows an object.
     """
     config = config or PerceptionConfig()
     kept = [(view.number, view.frame, view.observation) for view in known]
     notes = []
     last = max((view.number for view in known), default=0)
     for number, frame in enumerate(frames, last + 1):
+        twin = next((other for other, given, _ in kept if same_view(given, frame)), None)
+        if twin is not None:
+            notes.append(f"view {number}: left out: it is view {twin} once more")
+            continue
         try:
             kept.append((number, frame, observe(frame, config, seed)))
         except FrameError as error:
