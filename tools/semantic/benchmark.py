@@ -30,7 +30,7 @@ def semantic_benchmark(
     merged: str = "00",
     tolerances: tuple[float, ...] = (4e-4,),
     samples: tuple[int, ...] = (10_000, 100_000, 1_000_000, 10_000_000),
-    scales: tuple[float, ...] = (16.0, 5.0, 1.6, 0.6, 0.4),
+    scales: tuple[float, ...] = (16.0, 5.0, 1.6, 0.6, 0.35),
     repeat: int = 3,
     threads: int = 1,
     seed: int = 0,
