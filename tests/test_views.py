@@ -341,7 +341,7 @@ def test_fifty_updates_keep_to_their_memory() -> None:
     """Views that are forgotten take nothing with them into later maps."""
     result = mapped(0)
     sizes = []
-    for number in range(50):
+    for number in range(1, 51):
         result = result.update(shifted(views(5)[number % 5], 0.0002 * (number % 7), 0.0, 0.0), keep=4)
         sizes.append(size_of(result))
         assert len(result.observation.views) <= 4
