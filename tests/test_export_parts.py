@@ -119,13 +119,31 @@ def test_flat_things_keep_their_parts_when_they_get_their_foot():
 def test_a_centre_of_mass_outside_of_its_ground_is_moved_over_it_and_no_other():
     square = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]], float)
     inside = np.array([0.05, 0.04, 0.03])
-    assert balanced(inside, square) is not None
-    assert np.array_equal(balanced(inside, square), inside)
-    moved = balanced(np.array([0.105, 0.05, 0.03]), square)
+    assert np.array_equal(balanced(inside, square, 0.15), inside)
+    moved = balanced(np.array([0.105, 0.05, 0.03]), square, 0.15)
     assert moved == pytest.approx([0.05 + 0.5 * 0.05, 0.05, 0.03])
     far = np.array([0.15, 0.05, 0.03])
-    assert np.array_equal(balanced(far, square), far)
-    assert np.array_equal(balanced(far, square[:2]), far)  # on an edge: no ground
+    assert np.array_equal(balanced(far, square, 0.15), far)
+    assert balanced(far, square, 0.3) == pytest.approx([0.075, 0.05, 0.03])
+    assert np.array_equal(balanced(far, square[:2], 0.3), far)  # on an edge: no ground
+
+
+def test_what_hovers_a_little_gets_feet_down_to_the_support_where_it_is_lowest():
+    legs = [box((0.02, 0.02, 0.05), (x, 0, 0.03)) for x in (-0.04, 0.04)]  # their lowest points at z = 5 mm
+    top = box((0.1, 0.02, 0.01), (0, 0, 0.06))
+    solid = trimesh.boolean.union([*legs, top])
+    footed = with_footing(ConvexParts((*legs, top), solid), solid, 0.0)
+    lows = sorted(part.bounds[0, 2] for part in footed.parts)
+    assert lows == pytest.approx([0, 0, 0.055])
+    assert with_footing(ConvexParts((*legs, top), solid), solid, -0.01).parts == (*legs, top)
+
+
+def test_a_part_too_round_for_a_foot_stands_on_a_foot_of_its_own():
+    ball = trimesh.creation.icosphere(4, 0.04)
+    cut = with_footing(ConvexParts((ball,), ball), ball, -0.04)
+    patch = [part for part in cut.parts if np.ptp(part.vertices[part.vertices[:, 2] < -0.0399][:, 0]) > 0.02]
+    assert patch
+    assert cut.error_m < 3e-3
 
 
 def test_things_rest_on_the_support_and_on_what_is_below_or_beside_them():

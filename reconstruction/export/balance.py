@@ -18,28 +18,26 @@ TOUCHES = 0.004
 """Parts this near to another object are taken to rest on it [m]."""
 WITHIN = 0.5
 """The centre of mass lies within this share of the way from the middle of the ground covered to its rim."""
-FARTHEST = 0.03
-"""A centre of mass is moved no further than this [m]: then something else is wrong."""
+FARTHEST = 0.3
+"""A centre of mass is moved no further than this share of the object's extent: then something else is
+wrong."""
 
 
-def resting_points(label: int, objects: Mapping[int, Parts], support: float, below: float) -> np.ndarray:
-    """Places (N, 3) [m] where an object stands on the plane z = `support`; if it does not, where it touches
-    another, lower than z = `below`.
+def resting_points(label: int, objects: Mapping[int, Parts], support: float, low: float) -> np.ndarray:
+    """Places (N, 3) [m] where an object stands on the plane z = `support` or touches another lower than
+    z = `low`.
 
     objects: label -> convex parts in a frame with z up. Places are corners of either's parts.
     """
     own = objects[label]
     corners = np.concatenate([np.asarray(part.vertices) for part in own])
-    foot = corners[corners[:, 2] < support + FOOT]
-    if len(foot):
-        return foot
-    found = []
+    touching = [corners[:0]]
     for other, parts in objects.items():
         if other != label:
             theirs = np.concatenate([np.asarray(part.vertices) for part in parts])
-            found += [corners[_near(corners, parts)], theirs[_near(theirs, own)]]
-    together = np.concatenate(found) if found else corners[:0]
-    return together[together[:, 2] < below]
+            touching += [corners[_near(corners, parts)], theirs[_near(theirs, own)]]
+    touches = np.concatenate(touching)
+    return np.concatenate([corners[corners[:, 2] < support + FOOT], touches[touches[:, 2] < low]])
 
 
 def _near(points: np.ndarray, parts: Parts) -> np.ndarray:
@@ -55,11 +53,11 @@ def _near(points: np.ndarray, parts: Parts) -> np.ndarray:
     return inside
 
 
-def balanced(centre: np.ndarray, resting: np.ndarray) -> np.ndarray:
+def balanced(centre: np.ndarray, resting: np.ndarray, extent: float) -> np.ndarray:
     """The centre of mass (3,) [m], moved level to where an object that rests on points (N, 3) does not fall.
 
-    It stays where it is when it is well within their ground already, when they cover none, or when it would
-    have to be moved too far.
+    extent: the object's diameter from above [m]. The centre stays where it is when it is well within their
+    ground already, when they cover none, or when it would have to be moved too far.
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -71,7 +69,7 @@ def balanced(centre: np.ndarray, resting: np.ndarray) -> np.ndarray:
     middle = _centroid(rim)
     rim = middle + WITHIN * (rim - middle)
     moved = _nearest_within(centre[:2], rim)
-    if np.linalg.norm(moved - centre[:2]) > FARTHEST:
+    if np.linalg.norm(moved - centre[:2]) > FARTHEST * extent:
         return centre
     return np.array([*moved, centre[2]])
 

@@ -156,7 +156,9 @@ class ExportScene:
         for label, centre in even.items():
             T = poses[label]
             here = transform(T, centre[None])[0]
-            there = balanced(here, resting_points(label, placed, 0.0, here[2]))
+            points = np.concatenate([part.vertices for part in placed[label]])
+            extent = float(np.linalg.norm(np.ptp(points[:, :2], axis=0)))
+            there = balanced(here, resting_points(label, placed, 0.0, here[2]), extent)
             found[label] = transform(invert_rigid(T), there[None])[0]
         return found
 

@@ -7,21 +7,24 @@ formats.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import trimesh
 
+from reconstruction.export.apart import below
 from reconstruction.export.collision import ConvexParts
 from reconstruction.export.hulls import convex_hull
 from reconstruction.export.refine import bulges
 from reconstruction.solid import Solid
 
-REACH = 0.004
-"""An object whose lowest point is this near the support stands on it [m]."""
+REACH = 0.008
+"""An object whose lowest point is this near the support stands on it [m]: undersides are never seen."""
 PATCH = 0.0025
-"""All of the surface that is this near the support touches it [m]: no more than the parts are wrong
-anyway."""
+"""All of the surface that is this near the lowest point, or the support, touches the support [m]: no more
+than the parts are wrong anyway."""
 BULGE = 0.0027
-"""A part that would reach further out of the mesh with its foot gets none [m]."""
+"""A part that would reach further out of the mesh with its foot, beyond the gap below it, gets none [m]."""
 
 
 def with_footing(parts: ConvexParts, solid: trimesh.Trimesh, support: float) -> ConvexParts:
@@ -29,33 +32,49 @@ def with_footing(parts: ConvexParts, solid: trimesh.Trimesh, support: float) -> 
 
     All in a frame whose z axis is the support's normal. Objects that stand elsewhere stay as they are.
     """
-    if abs(float(solid.bounds[0, 2]) - support) > REACH:
+    gap = float(solid.bounds[0, 2]) - support
+    if abs(gap) > REACH:
         return parts
-    corners = [np.asarray(part.vertices) for part in parts.parts]
-    footed = {
-        number: hull
-        for number, points in enumerate(corners)
-        if points[:, 2].min() < support + PATCH
-        and (hull := convex_hull(_on_the_plane(points, support))) is not None
-    }
-    depths = bulges(list(footed.values()), Solid(solid)) if footed else []
-    kept = {number for number, (depth, _) in zip(footed, depths) if depth <= BULGE}
-    found = tuple(
-        hull
-        for number, points in enumerate(corners)
-        if (hull := footed[number] if number in kept else convex_hull(_raised(points, support))) is not None
-    )
-    return ConvexParts(found, solid) if found else parts
+    near = max(gap, 0.0) + PATCH
+    wanted = [part for part in parts.parts if part.bounds[0, 2] < support + near]
+    whole = [_footed(np.asarray(part.vertices), support, near) for part in wanted]
+    feet = [_foot(part, support, near) for part in wanted]
+    body = Solid(solid)
+    fits = [_fits(of_one, body, near - PATCH + BULGE) for of_one in (whole, feet)]
+    found = [part for part in parts.parts if part.bounds[0, 2] >= support + near]
+    for number, part in enumerate(wanted):
+        if fits[0][number]:
+            found.append(whole[number])
+            continue
+        found.append(convex_hull(_raised(np.asarray(part.vertices), support)))
+        if fits[1][number]:
+            found.append(feet[number])
+    kept = tuple(hull for hull in found if hull is not None)
+    return ConvexParts(kept, solid) if kept else parts
+
+
+def _fits(parts: Sequence[trimesh.Trimesh | None], body: Solid, limit: float) -> list[bool]:
+    """Which of the parts there are and reach out of the body by no more than `limit` [m]."""
+    there = [part for part in parts if part is not None]
+    depths = iter(bulges(there, body) if there else [])
+    return [part is not None and next(depths)[0] <= limit for part in parts]
 
 
 def _raised(points: np.ndarray, support: float) -> np.ndarray:
     return np.column_stack([points[:, :2], np.maximum(points[:, 2], support)])
 
 
-def _on_the_plane(points: np.ndarray, support: float) -> np.ndarray:
-    """The points, none below the support, and below those that are near it their places on it as well: parts
-    that lie there as a whole stay as thick as they are."""
-    near = points[points[:, 2] < support + PATCH]
-    return np.concatenate(
-        [_raised(points, support), np.column_stack([near[:, :2], np.full(len(near), support)])]
-    )
+def _footed(points: np.ndarray, support: float, near: float) -> trimesh.Trimesh | None:
+    """A part's hull with the places on the support below its corners (N, 3) that are `near` it.
+
+    Parts that lie there as a whole stay as thick as they are.
+    """
+    low = points[points[:, 2] < support + near]
+    on_it = np.column_stack([low[:, :2], np.full(len(low), support)])
+    return convex_hull(np.concatenate([_raised(points, support), on_it]))
+
+
+def _foot(part: trimesh.Trimesh, support: float, near: float) -> trimesh.Trimesh | None:
+    """What of a part is `near` the support and all below it down to the support: a foot of its own."""
+    low = below(part, np.array([0.0, 0.0, 1.0]), support + near)
+    return None if low is None else _footed(np.asarray(low.vertices), support, np.inf)
