@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 import trimesh
-from planner_scene import MUG_HEIGHT, MUG_RADIUS, PlannerScene, planner_scene
+from planner_scene import MUG_HEIGHT, PlannerScene, planner_scene
 
-from perception.camera import invert_rigid, transform
 from reconstruction.export.collision import ConvexParts
 from reconstruction.export.footing import with_footing
 from reconstruction.export.formats import export
+from tools.ball_drops import CELL, drop_all, hollow
 from tools.export_checks import stand, summarise
-
-BALL = 0.01  # radius [m]
-SECONDS = 1.5
 
 
 @pytest.fixture(scope="module")
@@ -31,60 +26,28 @@ def out(planned, tmp_path_factory):
     return folder
 
 
-def above_the_mug(planned) -> np.ndarray:
-    """A point of the world 5 cm above the mug's rim, a little off its axis."""
-    T = planned.result.objects[0].T_world_object
-    return T @ [0.01, 0.01, 0.0, 1] + np.append(0.1 * np.array(planned.result.T_world_table)[:3, 2], 0)
+def test_a_ball_dropped_into_the_mug_stays_there(planned, tmp_path):
+    pytest.importorskip("mujoco")
+    pytest.importorskip("pybullet")
+    drops = drop_all(planned.scene(), tmp_path)
+    assert [(drop.key, drop.engine) for drop in drops] == [("1_mug", "mujoco"), ("1_mug", "pybullet")]
+    assert all(drop.held for drop in drops)
+    assert drops[0].depth == pytest.approx(MUG_HEIGHT, abs=0.02)
 
 
-def in_the_mug(planned, ball: np.ndarray) -> bool:
-    """Whether a ball's centre lies within the mug's hollow (its object frame has the handle on one side)."""
-    T_table = invert_rigid(planned.result.T_world_table)
-    mug = transform(T_table, np.asarray(planned.meshes[1].vertices))
-    local = transform(T_table, ball[None])[0]
-    axis = np.array([-0.08, 0.02])
-    return bool(np.linalg.norm(local[:2] - axis) < MUG_RADIUS and 0 < local[2] < mug[:, 2].max())
-
-
-def test_a_ball_dropped_on_the_mug_ends_inside_in_pybullet(planned, out):
-    bullet = pytest.importorskip("pybullet")
-    client = bullet.connect(bullet.DIRECT)
-    try:
-        poses = json.loads((out / "urdf" / "poses.json").read_text())
-        pose = poses["objects"]["1_mug"]
-        bullet.setGravity(*(-9.81 * np.array(poses["up"])), physicsClientId=client)
-        bullet.loadURDF(
-            str(out / "urdf" / "1_mug.urdf"),
-            pose["position"],
-            pose["quaternion_xyzw"],
-            useFixedBase=True,
-            physicsClientId=client,
-        )
-        shape = bullet.createCollisionShape(bullet.GEOM_SPHERE, radius=BALL, physicsClientId=client)
-        ball = bullet.createMultiBody(
-            0.01, shape, -1, above_the_mug(planned)[:3].tolist(), physicsClientId=client
-        )
-        for _ in range(int(240 * SECONDS)):
-            bullet.stepSimulation(physicsClientId=client)
-        place = np.array(bullet.getBasePositionAndOrientation(ball, physicsClientId=client)[0])
-    finally:
-        bullet.disconnect(client)
-    assert in_the_mug(planned, place)
-
-
-def test_a_ball_dropped_on_the_mug_ends_inside_in_mujoco(planned, out):
-    mujoco = pytest.importorskip("mujoco")
-    place = " ".join(map(str, above_the_mug(planned)[:3]))
-    ball = f'<freejoint/><geom type="sphere" size="{BALL}" mass="0.01"/>'
-    whole = (out / "mjcf" / "scene.xml").read_text()
-    whole = whole.replace("</worldbody>", f'<body name="ball" pos="{place}">{ball}</body></worldbody>')
-    (out / "mjcf" / "with_ball.xml").write_text(whole)
-    model = mujoco.MjModel.from_xml_path(str(out / "mjcf" / "with_ball.xml"))
-    data = mujoco.MjData(model)
-    while data.time < SECONDS:
-        mujoco.mj_step(model, data)
-    assert in_the_mug(planned, data.xpos[model.body("ball").id])
-    assert MUG_HEIGHT > 0.05
+def test_what_holds_water_is_a_container_and_nothing_else():
+    x, y = np.meshgrid(np.arange(-0.05, 0.05, CELL), np.arange(-0.05, 0.05, CELL), indexing="ij")
+    radius = np.hypot(x, y)
+    bowl = np.where(radius < 0.045, np.where(radius < 0.04, 0.01, 0.06), -np.inf)
+    found = hollow(bowl, np.array([-0.05, -0.05]))
+    assert found.top == pytest.approx(0.06)
+    assert found.depth == pytest.approx(0.05)
+    assert found.middle == pytest.approx((0, 0), abs=2 * CELL)
+    assert found.radius == pytest.approx(0.04, abs=2 * CELL)
+    spout = bowl.copy()
+    spout[x > 0.02] = np.minimum(spout[x > 0.02], 0.02)  # water runs out at one side: 1 cm is left
+    assert hollow(spout, np.zeros(2)) is None
+    assert hollow(np.full((50, 50), 0.1), np.zeros(2)) is None
 
 
 def test_nothing_reaches_into_the_support_and_the_foot_is_flat(planned):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
@@ -144,6 +145,16 @@ def _bodies(model: Any, data: Any) -> dict[str, np.ndarray]:
 
 
 def _pybullet(out: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    with bullet_scene(out) as (bullet, client, bodies):
+        before = {key: _pose(bullet, body, client) for key, body in bodies.items()}
+        for _ in range(round(SECONDS / STEP)):
+            bullet.stepSimulation(physicsClientId=client)
+        return {key: (before[key], _pose(bullet, body, client)) for key, body in bodies.items()}
+
+
+@contextmanager
+def bullet_scene(out: Path) -> Iterator[tuple[Any, int, dict[str, int]]]:
+    """pybullet, its client, and key -> body of an exported scene on its support."""
     import json
 
     from sim_scenes.tabletop import quiet_stdout
@@ -176,10 +187,7 @@ def _pybullet(out: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         for body in bodies.values():
             # Hulls would otherwise keep a gap of millimetres.
             bullet.changeDynamics(body, -1, collisionMargin=0.0002, physicsClientId=client)
-        before = {key: _pose(bullet, body, client) for key, body in bodies.items()}
-        for _ in range(round(SECONDS / STEP)):
-            bullet.stepSimulation(physicsClientId=client)
-        return {key: (before[key], _pose(bullet, body, client)) for key, body in bodies.items()}
+        yield bullet, client, bodies
     finally:
         bullet.disconnect(client)
 
