@@ -11,7 +11,7 @@ from reconstruction.export.collision import ConvexParts
 from reconstruction.export.footing import with_footing
 from reconstruction.export.formats import export
 from tools.ball_drops import CELL, drop_all, hollow
-from tools.export_checks import stand, summarise
+from tools.export_checks import overlap, stand, summarise
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,10 @@ def test_what_stood_stays_standing(planned, out):
     motions = list(stand(planned.result.folder, out))
     assert len(motions) == 4
     assert all(motion.rested for motion in motions), motions
-    figures = [{"seconds": 1.0, "collision": planned.scene().collision_statement()}]
+    figures = [
+        {"seconds": 1.0, "overlap_mm": 1e3 * overlap(out), "collision": planned.scene().collision_statement()}
+    ]
     summary = summarise(figures, motions)
     assert summary["mujoco_at_rest"] == summary["pybullet_at_rest"] == 1.0
     assert summary["error_mm_max"] < 3
+    assert 0 <= summary["overlap_mm_max"] < 2

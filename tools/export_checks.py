@@ -83,8 +83,20 @@ def export_one(result: Path, out: Path) -> dict[str, Any]:
     return {
         "result": result.name,
         "seconds": round(perf_counter() - start, 3),
+        "overlap_mm": round(1e3 * overlap(out), 3),
         "collision": scene.collision_statement(),
     }
+
+
+def overlap(out: Path) -> float:
+    """How deep any two convex parts of different objects, or one and the support, are in each other as
+    exported [m]; 0 where none are."""
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_path(str(out / "mjcf" / "scene.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return max((-float(data.contact[i].dist) for i in range(data.ncon)), default=0.0)
 
 
 def stand(result: Path, out: Path) -> Iterator[Motion]:
@@ -108,6 +120,7 @@ def summarise(figures: list[dict[str, Any]], motions: list[Motion]) -> dict[str,
         "convex_parts_median": float(np.median([entry["parts"] for entry in parts])),
         "error_mm_median": float(np.median(errors)),
         "error_mm_max": float(np.max(errors)),
+        "overlap_mm_max": float(np.max([figure["overlap_mm"] for figure in figures])),
         "export_s_per_object": sum(figure["seconds"] for figure in figures) / max(len(parts), 1),
     }
     for engine in ("mujoco", "pybullet"):
