@@ -59,34 +59,19 @@ def balanced(centre: np.ndarray, resting: np.ndarray, extent: float) -> np.ndarr
     extent: the object's diameter from above [m]. The centre stays where it is when it is well within their
     ground already, when they cover none, or when it would have to be moved too far.
     """
-    rim = _inner_rim(resting)
-    if rim is None:
-        return centre
-    moved = _nearest_within(centre[:2], rim)
-    if np.linalg.norm(moved - centre[:2]) > FARTHEST * extent:
-        return centre
-    return np.array([*moved, centre[2]])
-
-
-def stands(centre: np.ndarray, resting: np.ndarray) -> bool:
-    """Whether what has its centre of mass (3,) [m] there stands on points (N, 3): it is well within their
-    ground."""
-    rim = _inner_rim(resting)
-    return rim is not None and bool(np.array_equal(_nearest_within(centre[:2], rim), centre[:2]))
-
-
-def _inner_rim(resting: np.ndarray) -> np.ndarray | None:
-    """The polygon (M, 2) in which a centre of mass is well within the ground of points (N, 3); None when they
-    cover none."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
         hull = ConvexHull(resting[:, :2])
     except (QhullError, ValueError):
-        return None
+        return centre
     rim = resting[hull.vertices, :2]
     middle = _centroid(rim)
-    return middle + WITHIN * (rim - middle)
+    rim = middle + WITHIN * (rim - middle)
+    moved = _nearest_within(centre[:2], rim)
+    if np.linalg.norm(moved - centre[:2]) > FARTHEST * extent:
+        return centre
+    return np.array([*moved, centre[2]])
 
 
 def _centroid(rim: np.ndarray) -> np.ndarray:

@@ -13,7 +13,6 @@ import numpy as np
 import trimesh
 
 from reconstruction.export.apart import below
-from reconstruction.export.balance import stands
 from reconstruction.export.collision import ConvexParts
 from reconstruction.export.hulls import convex_hull
 from reconstruction.export.refine import bulges
@@ -21,10 +20,9 @@ from reconstruction.solid import Solid
 
 REACH = 0.008
 """An object whose lowest point is this near the support stands on it [m]: undersides are never seen."""
-PATCHES = (0.0025, 0.004, 0.006, 0.008)
-"""All of the surface that is this near the lowest point, or the support, touches the support [m]: the first,
-no more than the parts are wrong anyway, or what it takes to stand."""
-PATCH = PATCHES[0]
+PATCH = 0.0025
+"""All of the surface that is this near the lowest point, or the support, touches the support [m]: no more
+than the parts are wrong anyway."""
 BULGE = 0.0027
 """A part that would reach further out of the mesh with its foot, beyond the gap below it, gets none [m]."""
 
@@ -37,14 +35,13 @@ def with_footing(parts: ConvexParts, solid: trimesh.Trimesh, support: float) -> 
     gap = float(solid.bounds[0, 2]) - support
     if abs(gap) > REACH:
         return parts
-    near = max(gap, 0.0) + _patch(solid, support + max(gap, 0.0))
+    near = max(gap, 0.0) + PATCH
     wanted = [part for part in parts.parts if part.bounds[0, 2] < support + near]
     whole = [_footed(np.asarray(part.vertices), support, near) for part in wanted]
     feet = [_foot(part, support, near) for part in wanted]
     body = Solid(solid)
     fits = [_fits(of_one, body, near - PATCH + BULGE) for of_one in (whole, feet)]
-    found: list[trimesh.Trimesh | None] = []
-    found += [part for part in parts.parts if part.bounds[0, 2] >= support + near]
+    found = [part for part in parts.parts if part.bounds[0, 2] >= support + near]
     for number, part in enumerate(wanted):
         if fits[0][number]:
             found.append(whole[number])
@@ -54,22 +51,6 @@ def with_footing(parts: ConvexParts, solid: trimesh.Trimesh, support: float) -> 
             found.append(feet[number])
     kept = tuple(hull for hull in found if hull is not None)
     return ConvexParts(kept, solid) if kept else parts
-
-
-def _patch(solid: trimesh.Trimesh, ground: float) -> float:
-    """How much of a solid above z = `ground` [m] is its foot: the least of PATCHES on which it stands.
-
-    A guessed underside is lopsided: what stood still on it would tilt. The first for what leans.
-    """
-    vertices = np.asarray(solid.vertices)
-    if not solid.is_watertight or solid.volume <= 0:
-        return PATCHES[0]
-    centre = np.asarray(solid.center_mass)
-    for patch in PATCHES:
-        foot = vertices[vertices[:, 2] < ground + patch]
-        if stands(centre, foot):
-            return patch
-    return PATCHES[0]
 
 
 def _fits(parts: Sequence[trimesh.Trimesh | None], body: Solid, limit: float) -> list[bool]:
