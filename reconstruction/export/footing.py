@@ -41,7 +41,8 @@ def with_footing(parts: ConvexParts, solid: trimesh.Trimesh, support: float) -> 
     feet = [_foot(part, support, near) for part in wanted]
     body = Solid(solid)
     fits = [_fits(of_one, body, near - PATCH + BULGE) for of_one in (whole, feet)]
-    found = [part for part in parts.parts if part.bounds[0, 2] >= support + near]
+    found: list[trimesh.Trimesh | None] = []
+    found += [part for part in parts.parts if part.bounds[0, 2] >= support + near]
     for number, part in enumerate(wanted):
         if fits[0][number]:
             found.append(whole[number])
