@@ -33,3 +33,16 @@ def test_the_hull_holds_the_convex_hull_and_not_much_more(seed: int) -> None:
 
 def test_the_hull_of_nothing_is_empty() -> None:
     assert not in_hull(np.zeros((4, 5, 6), bool)).any()
+
+
+def test_no_plane_is_missed_wherever_on_the_lattice_the_solid_is() -> None:
+    nodes = np.stack(np.meshgrid(np.arange(16), np.arange(12), np.arange(30), indexing="ij"), -1)
+    along = nodes @ DIRECTIONS.T
+    for corner in ((1, 1, 1), (11, 1, 1), (1, 8, 1), (11, 8, 1), (1, 1, 25), (11, 8, 25)):
+        solid = np.zeros((16, 12, 30), bool)
+        i, j, k = corner
+        solid[i : i + 4, j : j + 3, k : k + 4] = True
+        solid[i + 3, j + 2, k] = False
+        reach = along[solid]
+        wanted = ((along >= reach.min(0)) & (along <= reach.max(0))).all(-1)
+        assert (in_hull(solid) == wanted).all()

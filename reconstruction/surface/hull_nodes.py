@@ -45,5 +45,6 @@ def in_hull(solid: np.ndarray) -> np.ndarray:
                     first, last = max(first, low[d] - across), min(last, high[d] - across)
                 elif across < low[d] or across > high[d]:
                     last = -1
-            inside[i, j, first : last + 1] = True
+            if first <= last:  # an end below 0 would be counted from the far side
+                inside[i, j, first : last + 1] = True
     return inside

@@ -61,10 +61,7 @@ def with_unseen_walls(
     values[1:-1, 1:-1, 1:-1] = log_odds[box]
     solid = values > 0
     # A wall across a tunnel lies within the solid's hull.
-    hidden = np.zeros_like(solid)
-    inner = (slice(1, -1),) * 3  # tunnels are closed between neighbours, and the border's nodes lack some
-    hidden[inner] = in_hull(solid)[inner] & ~solid[inner]
-    nodes = np.flatnonzero(hidden)
+    nodes = np.flatnonzero(in_hull(solid) & ~solid)
     lattice = values.shape, corner + spacing * first, spacing
     if len(nodes) > MOST_HIDDEN:
         few = np.count_nonzero(~np.isnan(_unpassed(places(nodes[::FEW], *lattice), edges, seen)))
