@@ -171,6 +171,20 @@ def highest(context: Any, a: Any) -> Any:
 
 
 @intrinsic
+def sum_of(context: Any, a: Any) -> Any:
+    """The sum of the eight numbers."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        a = args[0]
+        for apart in (4, 2, 1):
+            places = [(k + apart) % LANES for k in range(LANES)]
+            a = builder.fadd(a, builder.shuffle_vector(a, a, ir.Constant(_WHOLE, places)))
+        return builder.extract_element(a, ir.Constant(ir.IntType(32), 0))
+
+    return types.float32(_vector), generate
+
+
+@intrinsic
 def exponential(context: Any, a: Any) -> Any:
     """exp(a) for a at most 88, 1e-38 where it is less."""
 

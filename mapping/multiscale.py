@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mapping.cell_noise import MOST_EACH, cells_around, lie_in, noise_in
 from mapping.checks import checked_points
 from mapping.config import FitConfig
 from mapping.errors import ConfigError, DataError
@@ -19,10 +20,11 @@ from mapping.hashed_hinges import HashedHinges, cube_by_cube, filled_nodes, hing
 from mapping.hashed_tiles import shares_at
 from mapping.label_doubt import Labels, label_doubt
 from mapping.label_noise import disagreement, true_labels, wrong_label_share
+from mapping.lattice_factor import LatticeFactor
 from mapping.samples import merge_in_cells
 from mapping.settings import Checked, NotNegative, OpenShare, Positive, Share
 from mapping.softmax import FitReport
-from mapping.weighed_features import WeighedFeatures
+from mapping.weighed_features import WeighedFeatures, fit_classes, fit_last_class
 
 ROWS = 2**18
 """Places whose answers need not be kept side by side are asked for so many at a time."""
@@ -71,6 +73,11 @@ class MultiscaleConfig(Checked):
     """Noise samples, and their whole weight, as a share of the data's."""
     noise_cell: tuple[float, ...] = FLOOR
     """Noise is drawn in cells of this size [m] that hold data, and in those around them."""
+    far_cells: tuple[tuple[float, ...], ...] = ((1.0, 1.0, 2.5), ROOM)
+    """Beyond those cells wide kernels of data reach places without noise. There one sample is drawn in each
+    cell of these sizes [m] that holds data, and in those around it."""
+    far_around: tuple[tuple[int, int, int], ...] = ((0, 0, 2), (1, 1, 1))
+    """How many cells around it that is along x, y and z, for each of those sizes."""
     doubt: Share = 0.2
     """Share of a sample's disagreement with its neighbours that becomes "uncertain" instead of its class."""
     far_uncertainty: OpenShare = 0.95
@@ -103,7 +110,10 @@ class Whole:
 class MultiscaleMap:
     """Softmax over kernels of several shapes; classes 0..C-1, and "uncertain" last unless `uncertain=False`.
 
-    Without the uncertain class it is a Hilbert map of the same kernels.
+    A sample's likelihood is that of its class where it was observed, times that of being observed. Noise says
+    nothing about the first: the classes' weights are those of a Hilbert map of the data, which is what there
+    is without the uncertain class, and the weights of "uncertain" are fitted against them. Fitted all at
+    once, noise bends the borders between classes.
     """
 
     def __init__(self, config: MultiscaleConfig | None = None, uncertain: bool = True) -> None:
@@ -114,10 +124,14 @@ class MultiscaleMap:
         self.W = np.empty((0, 0), np.float32)
         self.known = np.empty(0, np.int64)
         self.classes = 0
-        if not len(self.config.spacings) == len(self.config.amplitudes) > 0:
+        config = self.config
+        if not len(config.spacings) == len(config.amplitudes) > 0:
             raise ConfigError("semantic.spacings and .amplitudes must be as many, one of each a shape")
-        if any(len(one) != 3 or min(one) <= 0 for one in (*self.config.spacings, self.config.noise_cell)):
-            raise ConfigError("semantic.spacings and .noise_cell must be three lengths > 0 each: x, y and z")
+        if len(config.far_cells) != len(config.far_around):
+            raise ConfigError("semantic.far_cells and .far_around must be as many, one of each a size")
+        lengths = (*config.spacings, *config.far_cells, config.noise_cell)
+        if any(len(one) != 3 or min(one) <= 0 for one in lengths):
+            raise ConfigError("semantic.spacings and noise cells must be three lengths > 0 each: x, y and z")
 
     def fit(
         self,
@@ -144,44 +158,45 @@ class MultiscaleMap:
         nodes = [cube_by_cube(filled_nodes(X, np.array(spacing))) for spacing in config.spacings]
         spacings, amplitudes = np.array(config.spacings), np.array(config.amplitudes)
         self.hinges = hinges_at(nodes, spacings, amplitudes, config.width, config.cutoff)
-        noise, total = np.empty((0, 3)), int(whole.counts.sum())
-        if self.uncertain:
-            seed, each = int(rng.integers(2**62)), config.noise_share * total / whole.noise_cells
-            noise = noise_around(X, np.array(config.noise_cell), each, seed)
+        total = int(whole.counts.sum())
         l2 = total * config.l2 * (1 + (whole.wrong / config.wrong_label_share) ** 2)
         # All of the whole's, or what other classes are left would differ from part to part.
         self.classes, self.known = classes, np.flatnonzero(whole.counts)
         y = np.searchsorted(self.known, y)
-        samples = WeighedFeatures.of(X, weights, noise, self.hinges)
-        labels = np.eye(len(self.known), dtype=np.float32)[y]
-        self._fit_labels(samples, X, labels, l2)
+        data, factor = WeighedFeatures.of(X, weights, self.hinges), LatticeFactor.of(self.hinges)
+        labels, offset = np.eye(len(self.known), dtype=np.float32)[y], self._offset()
+        given, columns = offset[: len(self.known)], np.arange(len(self.known))
+        self.W, self.report = fit_classes(data, labels, given, factor, l2, config.fit)
         if mend:
-            columns = np.arange(len(self._offset()))
-            shares = shares_at(X, self.hinges, self.W, self._offset(), columns, len(columns))
-            labels = true_labels(y, shares[:, : len(self.known)], whole.wrong)
-            self._fit_labels(samples, X, labels, config.mended_penalty * l2, self.W)
-        del samples, labels
+            shares = shares_at(X, self.hinges, self.W, given, columns, len(columns))
+            labels, l2 = true_labels(y, shares, whole.wrong), config.mended_penalty * l2
+            self.W, self.report = fit_classes(data, labels, given, factor, l2, config.fit, self.W)
+        if self.uncertain:
+            samples = [data]
+            targets = [config.doubt * disagreement(X, labels.argmax(1), config.label_cells[-1])]
+            each = config.noise_share * total / whole.noise_cells
+            noise = self._noise(X, each, int(rng.integers(2**62)))
+            if len(noise):
+                samples.append(WeighedFeatures.of(noise, np.ones(len(noise)), self.hinges))
+                targets.append(np.ones(len(noise)))
+            last = fit_last_class(samples, targets, self.W, offset, factor, l2, config.fit)
+            self.W = np.concatenate([self.W, last], axis=1)
+            del samples
+        del data, labels
         give_back()
         return self
 
-    def _fit_labels(
-        self,
-        samples: WeighedFeatures,
-        X: np.ndarray,
-        labels: np.ndarray,
-        l2: float,
-        start: np.ndarray | None = None,
-    ) -> None:
-        """Find the weights that explain labels (N, C) of data X (N, 3), shares of the classes they have, from
-        `start` (H, C)."""
-        target = labels
-        if self.uncertain:
-            doubt = self.config.doubt * disagreement(X, labels.argmax(1), self.config.label_cells[-1])
-            target = np.zeros((samples.count, labels.shape[1] + 1), np.float32)
-            target[: len(X), :-1] = (1 - doubt[:, None]) * labels
-            target[: len(X), -1] = doubt
-            target[len(X) :, -1] = 1
-        self.W, self.report = samples.fit(target, self._offset(), l2, self.config.fit, start)
+    def _noise(self, X: np.ndarray, each: float, seed: int) -> np.ndarray:
+        """Places (M, 3) where nothing was observed, `each` in every cell around points X (N, 3), and those
+        beyond that wide kernels reach."""
+        config, size = self.config, np.array(self.config.noise_cell)
+        near = cells_around(X, size)
+        parts = [noise_in(near, size, each, seed)]
+        for cell, around in zip(config.far_cells, config.far_around):
+            seed += MOST_EACH
+            far = noise_in(cells_around(X, np.array(cell), around), np.array(cell), 1.0, seed)
+            parts.append(far[~lie_in(far, near, size)])
+        return np.concatenate(parts)
 
     @property
     def size(self) -> int:
@@ -250,42 +265,6 @@ class MultiscaleMap:
             share = self.config.far_uncertainty
             offset[-1] = np.log(share / (1 - share) * len(self.known))
         return offset
-
-
-def cells_around(X: np.ndarray, cell: np.ndarray) -> np.ndarray:
-    """Numbers (M, 3) int64 of the cells (3,) [m] that hold points X (N, 3), and of those around them."""
-    steps = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), -1).reshape(-1, 3)
-    return filled_nodes((filled_nodes(X, cell)[:, None] + steps).reshape(-1, 3), 1.0)
-
-
-def noise_around(X: np.ndarray, cell: np.ndarray, each: float, seed: int) -> np.ndarray:
-    """Points (M, 3), on average `each` in every one of `cells_around`; in a cell the same whatever others
-    there are."""
-    cells, parts = cells_around(X, cell), []
-    for repeat in range(int(np.ceil(each))):
-        chance = _chances(cells, seed + repeat)
-        kept = chance[:, 3] < each - repeat
-        parts.append((cells[kept] + chance[kept, :3] - 0.5) * cell)
-    return np.concatenate(parts)
-
-
-def _chances(cells: np.ndarray, seed: int) -> np.ndarray:
-    """Numbers (M, 4) in [0, 1) of cells (M, 3), even and unrelated: splitmix64, seeded by the cells."""
-    state = np.full(len(cells), seed, np.uint64)
-    out = np.empty((len(cells), 4))
-    with np.errstate(over="ignore"):
-        for step in range(7):
-            if step < 3:
-                state ^= cells[:, step].astype(np.uint64)
-            state += np.uint64(0x9E3779B97F4A7C15)
-            mixed = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-            mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-            mixed ^= mixed >> np.uint64(31)
-            if step < 3:
-                state = mixed
-            else:
-                out[:, step - 3] = (mixed >> np.uint64(11)) * 2.0**-53
-    return out
 
 
 def _in_space(X: np.ndarray) -> np.ndarray:

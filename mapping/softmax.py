@@ -58,10 +58,10 @@ def fit_softmax(
         W = torch.zeros(objective.shape, device=offset.device) if start is None else start
         known = start is not None and config.renew > 0
         factor = whiten(objective.curvature_at(W) if known else objective.curvature())
-        return _minimise(objective, factor, whiten, config, W)
+        return minimise(objective, factor, whiten, config, W)
 
 
-def _minimise(
+def minimise(
     objective: Objective,
     factor: SparseFactor,
     whiten: Callable[[torch.Tensor], SparseFactor],

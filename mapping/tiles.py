@@ -20,6 +20,7 @@ from mapping.lanes import (
     exponential,
     larger,
     load,
+    logarithm,
     minus,
     over,
     plus,
@@ -200,6 +201,21 @@ def answer_tiles(
             row = order[LANES * t + lane]
             for c in range(classes):
                 out[row, columns[c]] = logits[c * LANES + lane]
+
+
+@compiled
+def log_sums(tiles: Tiles, W: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """(8 T,) log-sum-exp of each row's logits. W and offset: as in `cross_entropy`."""
+    classes, count = len(offset), len(tiles.starts) - 1
+    logits = np.empty(-(-classes // LANES) * LANES * LANES, np.float32)
+    out = np.empty(count * LANES, np.float32)
+    for t in range(count):
+        _logits(tiles, tiles.starts[t], tiles.starts[t + 1], W, offset, logits)
+        highest = load(logits, 0)
+        for c in range(1, classes):
+            highest = larger(highest, load(logits, c * LANES))
+        store(out, t * LANES, plus(highest, logarithm(_powers(classes, logits))))
+    return out
 
 
 @compiled

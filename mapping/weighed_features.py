@@ -13,8 +13,10 @@ import torch
 from mapping.config import FitConfig
 from mapping.hashed_hinges import HashedHinges
 from mapping.hashed_tiles import features_in_tiles
+from mapping.last_class import LastClass
 from mapping.lattice_factor import LatticeFactor
-from mapping.softmax import FitReport, fit_softmax
+from mapping.softmax import FitReport, fit_softmax, minimise
+from mapping.threads import Threads
 from mapping.tiled_features import TiledFeatures
 
 REACHED = 0.05
@@ -23,53 +25,73 @@ REACHED = 0.05
 
 @dataclass(frozen=True)
 class WeighedFeatures:
-    """features: rows in their own order; weights: (N,) of the rows, 1 in sum; total: what that sum was;
-    factor: of their columns."""
+    """features: rows in their own order; weights: (N,) float64 of the rows."""
 
     features: TiledFeatures
-    weights: torch.Tensor
-    total: float
-    factor: LatticeFactor
+    weights: np.ndarray
 
     @classmethod
-    def of(
-        cls, X: np.ndarray, weights: np.ndarray, noise: np.ndarray, hinges: HashedHinges
-    ) -> WeighedFeatures:
-        """Of data X (n, 3) with weights (n,), then noise (m, 3), each of weight 1."""
-        found = features_in_tiles(np.concatenate([X, noise]), hinges)
-        weight = np.append(weights, np.ones(len(noise)))[found.order]
-        # Noise out of reach is "uncertain" in any case, and would drive the outermost weights up.
+    def of(cls, X: np.ndarray, weights: np.ndarray, hinges: HashedHinges) -> WeighedFeatures:
+        """Of points X (N, 3) with weights (N,)."""
+        found = features_in_tiles(X, hinges)
+        weight = weights[found.order].astype(np.float64)
+        # What is out of reach cannot be explained, and would drive the outermost weights up.
         weight[found.strongest <= REACHED] = 0
-        total = float(weight.sum())
-        share = torch.from_numpy((weight / total).astype(np.float32))
-        return cls(found, share, total, LatticeFactor.of(hinges))
+        return cls(found, weight)
 
-    @property
-    def count(self) -> int:
-        """Number of samples, noise included."""
-        return len(self.weights)
 
-    def fit(
-        self,
-        target: np.ndarray,
-        offset: np.ndarray,
-        l2: float,
-        config: FitConfig,
-        start: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, FitReport]:
-        """Weights (H, C) that explain targets (N, C), shares of the classes, in the caller's order.
+def fit_classes(
+    samples: WeighedFeatures,
+    targets: np.ndarray,
+    offset: np.ndarray,
+    factor: LatticeFactor,
+    l2: float,
+    config: FitConfig,
+    start: np.ndarray | None = None,
+) -> tuple[np.ndarray, FitReport]:
+    """Weights (H, C) that explain targets (N, C), shares of the classes, in the caller's order.
 
-        l2: penalty beside the sum over the samples as they were weighed, so that parts and wholes agree;
-        start: (H, C) where the fit begins, 0 by default.
-        """
-        W, report = fit_softmax(
-            self.features,
-            torch.from_numpy(target[self.features.order]),
-            self.weights,
-            torch.from_numpy(offset),
-            self.factor.scaled,
-            l2 / self.total,
-            config,
-            None if start is None else torch.from_numpy(start),
+    l2: penalty beside the sum over the samples as they were weighed, so that parts and wholes agree; start:
+    (H, C) where the fit begins, 0 by default.
+    """
+    total = float(samples.weights.sum())
+    W, report = fit_softmax(
+        samples.features,
+        torch.from_numpy(targets[samples.features.order]),
+        torch.from_numpy((samples.weights / total).astype(np.float32)),
+        torch.from_numpy(offset),
+        factor.scaled,
+        l2 / total,
+        config,
+        None if start is None else torch.from_numpy(start),
+    )
+    return W.numpy(), report
+
+
+def fit_last_class(
+    samples: list[WeighedFeatures],
+    targets: list[np.ndarray],
+    W: np.ndarray,
+    offset: np.ndarray,
+    factor: LatticeFactor,
+    l2: float,
+    config: FitConfig,
+) -> np.ndarray:
+    """Weights (H, 1) of one more class, the others' W (H, C) staying as they are.
+
+    targets: of each kind of samples, (N,) shares of that class; offset: (C + 1,); l2: as in `fit_classes`.
+    """
+    total = float(sum(kind.weights.sum() for kind in samples))
+    with Threads() as threads:
+        objective = LastClass(
+            [kind.features for kind in samples],
+            [target[kind.features.order] for kind, target in zip(samples, targets)],
+            [(kind.weights / total).astype(np.float32) for kind in samples],
+            W,
+            offset,
+            l2 / total,
+            threads,
         )
-        return W.numpy(), report
+        start = torch.zeros(objective.shape)
+        found, _ = minimise(objective, factor.scaled(objective.curvature()), factor.scaled, config, start)
+    return found.numpy()
