@@ -12,9 +12,8 @@ import trimesh
 from planner_scene import MUG_HEIGHT, PlannerScene, bracket, mug, planner_scene
 
 from mapping.errors import ConfigError, DataError
-from reconstruction.export import collision
-from reconstruction.export.coacd_process import CoacdProcess
-from reconstruction.export.collision import CollisionConfig, convex_parts
+from reconstruction.export.collision import convex_parts
+from reconstruction.export.cut_process import CutProcess
 from reconstruction.export.export_scene import ExportConfig, ExportScene
 from reconstruction.export.formats import FORMATS, export
 from reconstruction.export.hulls import convex_hull
@@ -186,7 +185,7 @@ def test_parts_come_from_the_cache_the_second_time(tmp_path, monkeypatch):
     def refuse(*_):
         raise AssertionError("cut again")
 
-    monkeypatch.setattr(CoacdProcess, "cut", refuse)
+    monkeypatch.setattr(CutProcess, "begin", refuse)
     again = convex_parts([bracket()])
     assert [len(p.vertices) for p in again[0].parts] == [len(p.vertices) for p in first[0].parts]
     good = kept.read_bytes()
@@ -203,25 +202,6 @@ def test_splinters_that_engines_refuse_are_left_out():
     flat = np.array([[0, 0, 0], [0.01, 0, 0], [0, 0.01, 0], [0.01, 0.01, 1e-9]])
     assert convex_hull(flat) is None
     assert convex_hull(flat + np.array([[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 1e-3]])) is not None
-
-
-def test_what_takes_too_long_becomes_its_hull_and_says_so(tmp_path, monkeypatch):
-    monkeypatch.setenv("CONTRAMAP_CACHE", str(tmp_path))
-    (found,) = convex_parts([mug()], CollisionConfig(time_limit_s=0.0))
-    assert len(found.parts) == 1
-    assert found.excess_m > 0.02
-    assert not list(tmp_path.rglob("*.npz"))  # the next run tries again
-
-
-def test_simplified_meshes_stay_closed_and_near():
-    ball = trimesh.creation.icosphere(4, 0.05)
-    simple, manifold = collision.simplified(ball, 1e-3)
-    assert manifold
-    assert simple.is_watertight
-    assert len(simple.faces) < len(ball.faces) / 3
-    assert np.abs(np.linalg.norm(simple.vertices, axis=1) - 0.05).max() < 1e-3
-    torn = trimesh.Trimesh(ball.vertices, ball.faces[:-3], process=False)
-    assert collision.simplified(torn, 1e-3) == (torn, False)
 
 
 def _hits(coal, shape, ball, place) -> bool:

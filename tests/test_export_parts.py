@@ -7,6 +7,7 @@ import trimesh
 from reconstruction.export.apart import GAP, below, kept_apart, overlap
 from reconstruction.export.balance import balanced, resting_points
 from reconstruction.export.collision import ConvexParts
+from reconstruction.export.cutting import Cutter, solid_of
 from reconstruction.export.footing import PATCH, with_footing
 from reconstruction.export.hulls import convex_hull
 from reconstruction.export.parts_error import parts_error
@@ -80,14 +81,19 @@ def test_a_hull_over_a_hollow_is_halved_until_it_bulges_no_more():
     bent = trimesh.creation.box((0.08, 0.02, 0.02)).union(box((0.02, 0.02, 0.06), (0.03, 0, 0.03)))
     hull = np.asarray(bent.convex_hull.vertices)
     assert parts_error(bent, (convex_hull(hull),))[1] > 0.01
-    found = refined([hull], bent, bent, 0.0025)
+    cutter = Cutter(solid_of(bent.vertices, bent.faces), [hull])
+    found = refined(cutter.hulls, Solid(bent), cutter.halve, 0.0025)
     missing, excess = parts_error(bent, found)
     assert len(found) > 1
     assert excess < 0.003
     assert missing < 0.001
     cube = trimesh.creation.box((0.05,) * 3)
-    (same,) = refined([np.asarray(cube.vertices)], cube, cube, 0.0025)
+    whole = Cutter(solid_of(cube.vertices, cube.faces), [np.asarray(cube.vertices)])
+    (same,) = refined(whole.hulls, Solid(cube), whole.halve, 0.0025)
     assert np.allclose(np.sort(same.vertices, 0), np.sort(cube.vertices, 0))
+    # What is convex is never cut, however far it is said to bulge; neither is what is not manifold.
+    assert whole.halve([0], np.zeros((1, 3))) == [[]]
+    assert Cutter(None, [hull]).halve([0], np.zeros((1, 3))) == [[]]
 
 
 def test_a_thin_tip_that_no_part_covers_becomes_a_part_of_its_own():

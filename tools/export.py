@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -18,6 +18,8 @@ def export(
     density: float = 500.0,
     friction: float = 0.8,
     inflate: Annotated[float | None, tyro.conf.arg(metavar="P")] = None,
+    cutter: Literal["halves", "coacd"] = "halves",
+    workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     overwrite: bool = False,
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
 ) -> None:
@@ -32,6 +34,8 @@ def export(
         density: Mass per volume for masses and inertias [kg/m^3].
         friction: Friction coefficient of the objects.
         inflate: Collision shapes take in whatever is occupied with more than this probability, such as 0.05.
+        cutter: What makes the first cuts into convex parts: halvings, or CoACD, which takes longer.
+        workers: Processes that cut objects at a time; one a core by default. The files do not depend on it.
         overwrite: Replace older exports in --out.
         json: Also write parts, their error and times to this file.
     """
@@ -46,18 +50,20 @@ def export(
 
     check_formats(format)
     start = perf_counter()
+    config = ExportConfig(density, friction, inflate, cutter=cutter, workers=workers)
     stored = load_result(result)
     with tqdm(desc="convex parts", total=len(stored.objects), disable=None, leave=False) as bar:
-        scene = ExportScene(stored, ExportConfig(density, friction, inflate), bar.update)
+        scene = ExportScene(stored, config, bar.update)
         folders = write_formats(scene, format, out, overwrite)
     seconds = perf_counter() - start
     for folder in folders:
         print(folder)
     parts = scene.collision_statement() if scene.has_parts else {}
     for key, of_one in parts.items():
+        note = f"; {of_one['note']}" if "note" in of_one else ""
         print(
             f"{key}: {of_one['parts']} convex parts, at most {of_one['missing_mm']} mm missing and "
-            f"{of_one['excess_mm']} mm in excess"
+            f"{of_one['excess_mm']} mm in excess{note}"
         )
     print(f"{len(folders)} formats of {len(stored.objects)} objects in {seconds:.1f} s")
     write_json({"objects": len(stored.objects), "seconds": round(seconds, 3), "collision": parts}, json)

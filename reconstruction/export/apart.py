@@ -25,18 +25,21 @@ def kept_apart(objects: Mapping[int, Parts]) -> dict[int, Parts]:
     """
     found = {label: list(parts) for label, parts in objects.items()}
     labels = list(found)
+    limits = {label: boxes(parts) for label, parts in objects.items()}
     for number, first in enumerate(labels):
         for second in labels[number + 1 :]:
-            _separate(found[first], found[second])
+            _separate(found[first], found[second], limits[first], limits[second])
     return {
         label: tuple(part for part in found[label] if part is not None) or objects[label] for label in found
     }
 
 
-def _separate(first: list, second: list) -> None:
-    """Cut the parts of two objects where they overlap, in place; what is lost whole becomes None."""
+def _separate(first: list, second: list, one: np.ndarray, two: np.ndarray) -> None:
+    """Cut the parts of two objects where they overlap, in place; what is lost whole becomes None.
+
+    one, two: the parts' boxes (N, 2, 3) before any was cut.
+    """
     # Hundreds of parts each: only pairs whose boxes meet are looked at, and cutting makes boxes no larger.
-    one, two = boxes(first), boxes(second)
     meet = ((one[:, None, 0] < two[:, 1] + GAP) & (two[:, 0] < one[:, None, 1] + GAP)).all(-1)
     for i, j in np.argwhere(meet):
         if first[i] is None or second[j] is None:

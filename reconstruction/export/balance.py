@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from reconstruction.export.apart import Parts
+from reconstruction.export.apart import Parts, boxes
 
 FOOT = 0.0005
 """What is this near to the support stands on it [m]: feet were made flat."""
@@ -30,27 +30,39 @@ def resting_points(label: int, objects: Mapping[int, Parts], support: float, low
     objects: label -> convex parts in a frame with z up. Places are corners of either's parts.
     """
     own = objects[label]
-    corners = np.concatenate([np.asarray(part.vertices) for part in own])
-    touching = [corners[:0]]
+    corners = _corners(own)
+    lower = corners[corners[:, 2] < low]
+    found = [corners[corners[:, 2] < support + FOOT]]
     for other, parts in objects.items():
         if other != label:
-            theirs = np.concatenate([np.asarray(part.vertices) for part in parts])
-            touching += [corners[_near(corners, parts)], theirs[_near(theirs, own)]]
-    touches = np.concatenate(touching)
-    return np.concatenate([corners[corners[:, 2] < support + FOOT], touches[touches[:, 2] < low]])
+            theirs = _corners(parts)
+            found += [_near(lower, parts), _near(theirs[theirs[:, 2] < low], own)]
+    return np.concatenate(found)
+
+
+def _corners(parts: Parts) -> np.ndarray:
+    """(N, 3) [m]"""
+    return np.concatenate([np.asarray(part.vertices) for part in parts])
 
 
 def _near(points: np.ndarray, parts: Parts) -> np.ndarray:
-    """Which points (N, 3) are in a convex part that was grown by TOUCHES: (N,) bool."""
+    """Those of points (N, 3) that are in a convex part that was grown by TOUCHES: (M, 3)."""
+    # Hundreds of parts, thousands of points, and few of either where two objects touch.
+    limits = boxes(parts) + np.array([[-TOUCHES], [TOUCHES]])
+    points = points[((points > limits[:, 0].min(0)) & (points < limits[:, 1].max(0))).all(1)]
+    if len(points) == 0:
+        return points
+    reached = (limits[:, 0] < points.max(0)).all(1) & (limits[:, 1] > points.min(0)).all(1)
     inside = np.zeros(len(points), bool)
-    for part in parts:
+    for number in np.flatnonzero(reached):
+        part = parts[number]
         low, high = part.bounds
         near = np.flatnonzero(~inside & (points > low - TOUCHES).all(1) & (points < high + TOUCHES).all(1))
         if len(near):
             normals = part.face_normals
             heights = np.einsum("ij,ij->i", normals, part.triangles[:, 0])
             inside[near] = (points[near] @ normals.T <= heights + TOUCHES).all(1)
-    return inside
+    return points[inside]
 
 
 def balanced(centre: np.ndarray, resting: np.ndarray, extent: float) -> np.ndarray:

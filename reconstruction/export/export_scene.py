@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import trimesh
@@ -19,7 +19,7 @@ from perception.camera import invert_rigid, transform
 from perception.frame import Frame
 from reconstruction.export.apart import kept_apart
 from reconstruction.export.balance import balanced, resting_points
-from reconstruction.export.collision import CollisionConfig, ConvexParts, convex_parts
+from reconstruction.export.collision import CollisionConfig, ConvexParts, Cutter, convex_parts
 from reconstruction.export.footing import with_footing
 from reconstruction.files.result_folder import StoredResult
 from reconstruction.files.scene_json import OTHER_FOLDER, object_folder
@@ -38,6 +38,10 @@ class ExportConfig:
     None: the meshes as they are."""
     rolling: float = 0.002
     """Friction against rolling [m]: round things that were seen at rest do not roll away."""
+    cutter: Cutter = "halves"
+    """What makes the first cuts into convex parts: halvings, or CoACD, which takes longer."""
+    workers: int | None = None
+    """Processes that cut objects at a time; None: one a core. The files do not depend on it."""
 
 
 @dataclass(frozen=True)
@@ -80,8 +84,14 @@ class ExportObject:
 
         All in the object's frame.
         """
+        volume, centre, tensor = self._moments
+        return density * volume, centre.copy(), density * tensor
+
+    @cached_property
+    def _moments(self) -> tuple[float, np.ndarray, np.ndarray]:
+        """The same of density 1."""
         solid = self.mesh.copy()
-        solid.density = density
+        solid.density = 1.0
         return float(solid.mass), np.array(solid.center_mass), np.array(solid.moment_inertia)
 
 
@@ -100,6 +110,10 @@ class ExportScene:
             raise ConfigError(f"density must be > 0 kg/m^3, got {self.config.density:g}")
         if self.config.inflate is not None and not 0 < self.config.inflate < 1:
             raise ConfigError(f"inflate is a probability between 0 and 1, got {self.config.inflate:g}")
+        if self.config.cutter not in (cutters := get_args(Cutter)):
+            raise ConfigError(f"cutter is one of {', '.join(cutters)}, got {self.config.cutter!r}")
+        if self.config.workers is not None and self.config.workers < 1:
+            raise ConfigError(f"workers must be at least 1, got {self.config.workers}")
         self._progress = progress
 
     @cached_property
@@ -133,12 +147,11 @@ class ExportScene:
     @cached_property
     def parts(self) -> dict[int, ConvexParts]:
         """Label -> convex parts [m] of the object's solid, in the object's frame."""
-        cut = convex_parts([item.solid for item in self.objects], CollisionConfig(), self._progress)
+        solids, config = [item.solid for item in self.objects], CollisionConfig(self.config.cutter)
+        cut = convex_parts(solids, config, self._progress, self.config.workers)
         if self.support_found:
             heights = [self._support_height(item) for item in self.objects]
-            cut = [
-                with_footing(*of_one) for of_one in zip(cut, (item.solid for item in self.objects), heights)
-            ]
+            cut = [with_footing(*of_one) for of_one in zip(cut, solids, heights)]
         return self._apart({item.label: parts for item, parts in zip(self.objects, cut)})
 
     @cached_property
@@ -200,7 +213,7 @@ class ExportScene:
             kept = apart[item.label]
             if kept != placed[item.label]:
                 own = tuple(moved(part, invert_rigid(poses[item.label])) for part in kept)
-                found[item.label] = ConvexParts(own, item.solid)
+                found[item.label] = ConvexParts(own, item.solid, parts[item.label].note)
         return found
 
     def _poses(self) -> dict[int, np.ndarray]:
@@ -220,7 +233,8 @@ class ExportScene:
     def collision_statement(self) -> dict[str, Any]:
         """Number of convex parts of each object and how far they are from its surface [mm].
 
-        centre_moved_mm: how far its centre of mass is from that of an even density, to keep it at rest.
+        centre_moved_mm: how far its centre of mass is from that of an even density, to keep it at rest. note:
+        why its parts are coarser than asked for, where they are.
         """
         even = {item.label: item.inertia(self.config.density)[1] for item in self.objects}
         return {
@@ -231,6 +245,7 @@ class ExportScene:
                 "centre_moved_mm": round(
                     1e3 * float(np.linalg.norm(self.centres[item.label] - even[item.label])), 2
                 ),
+                **({"note": note} if (note := self.parts[item.label].note) else {}),
             }
             for item in self.objects
         }

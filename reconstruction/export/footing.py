@@ -14,7 +14,7 @@ import trimesh
 
 from reconstruction.export.apart import below
 from reconstruction.export.collision import ConvexParts
-from reconstruction.export.hulls import convex_hull
+from reconstruction.export.hulls import convex_hull, surfaces
 from reconstruction.export.refine import bulges
 from reconstruction.solid import Solid
 
@@ -51,13 +51,13 @@ def with_footing(parts: ConvexParts, solid: trimesh.Trimesh, support: float) -> 
         if fits[1][number]:
             found.append(feet[number])
     kept = tuple(hull for hull in found if hull is not None)
-    return ConvexParts(kept, solid) if kept else parts
+    return ConvexParts(kept, solid, parts.note) if kept else parts
 
 
 def _fits(parts: Sequence[trimesh.Trimesh | None], body: Solid, limit: float) -> list[bool]:
     """Which of the parts there are and reach out of the body by no more than `limit` [m]."""
     there = [part for part in parts if part is not None]
-    depths = iter(bulges(there, body) if there else [])
+    depths = iter(bulges(surfaces(there), body) if there else [])
     return [part is not None and next(depths)[0] <= limit for part in parts]
 
 

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import trimesh
 
-LEAST_VOLUME = 1e-11
-"""Splinters smaller than this [m^3], a fifth of a millimetre in size, are left out: engines refuse flat
-parts."""
+from reconstruction.export.cutting import Surface, hull_surface
 
 
 def convex_hull(points: np.ndarray) -> trimesh.Trimesh | None:
     """The closed convex hull of points (N, 3) [m]; None when it is flat, which no engine accepts."""
     import manifold3d
 
-    return as_mesh(manifold3d.Manifold.hull_points(points))
+    found = hull_surface(manifold3d.Manifold.hull_points(points))
+    return None if found is None else as_mesh(found)
 
 
-def as_mesh(hull: Any) -> trimesh.Trimesh | None:
-    """A convex `manifold3d.Manifold` as a mesh; None when it is flat or empty."""
-    if hull.is_empty() or hull.volume() <= LEAST_VOLUME:
-        return None
-    found = hull.to_mesh64()
-    return trimesh.Trimesh(np.asarray(found.vert_properties[:, :3]), found.tri_verts, process=False)
+def as_mesh(surface: Surface) -> trimesh.Trimesh:
+    """Vertices and faces as a mesh, as they are."""
+    return trimesh.Trimesh(*surface, process=False)
+
+
+def surfaces(meshes: Sequence[trimesh.Trimesh]) -> list[Surface]:
+    """Vertices and faces of each mesh."""
+    return [(np.asarray(mesh.vertices), np.asarray(mesh.faces)) for mesh in meshes]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import trimesh
@@ -13,6 +14,8 @@ SAMPLES = 2000
 """Points drawn on either surface, beside all vertices."""
 MOST_PAIRS = 10_000_000
 """Points times faces that are compared one by one; above it, rays are cast."""
+AT_A_TIME = 1000
+"""Points asked whether they are inside, the farthest from all surfaces first."""
 
 
 def parts_error(mesh: trimesh.Trimesh, parts: Sequence[trimesh.Trimesh]) -> tuple[float, float]:
@@ -22,21 +25,94 @@ def parts_error(mesh: trimesh.Trimesh, parts: Sequence[trimesh.Trimesh]) -> tupl
     Points inside of the other count as 0: the first is what the parts lack, the second what they have too
     much.
     """
-    solid, theirs = Solid(mesh), _points(_together(parts))
+    solid, union = Solid(mesh), Union(parts)
+    theirs = _points(union.mesh)
     surplus = theirs[~solid.inside(theirs)]
     return (
-        float(lacking(_points(mesh), parts).max()),
+        union.most_lacking(_points(mesh)),
         float(solid.distance(surplus).max()) if len(surplus) else 0.0,
     )
 
 
-def lacking(points: np.ndarray, parts: Sequence[trimesh.Trimesh]) -> np.ndarray:
-    """How far points (N, 3) [m] are from the union of convex parts: (N,) [m], 0 within."""
-    outside = np.flatnonzero(~_inside_any(points, parts))
-    found = np.zeros(len(points))
-    if len(outside):
-        found[outside] = Solid(_together(parts)).distance(points[outside])
-    return found
+class Union:
+    """Convex parts, made ready for questions of how far points are from them."""
+
+    def __init__(self, parts: Sequence[trimesh.Trimesh]) -> None:
+        self.mesh = _together(parts)
+        self._hulls = [_Hull.of(part) for part in parts]
+        self._boxes = np.array([hull.box for hull in self._hulls])
+        self._surface = Solid(self.mesh)
+
+    def lacking(self, points: np.ndarray, least: float = 0.0) -> np.ndarray:
+        """How far points (N, 3) [m] are from all parts: (N,) [m], 0 within.
+
+        Those no further than `least` from the surface of a part count as 0 as well: asking whether they are
+        inside is what takes time.
+        """
+        found = np.zeros(len(points))
+        if len(points) == 0:
+            return found
+        distances = self._surface.distance(points)
+        far = np.flatnonzero(distances > least)
+        outside = far[~self._inside(points[far])]
+        found[outside] = distances[outside]
+        return found
+
+    def most_lacking(self, points: np.ndarray) -> float:
+        """The largest distance [m] of points (N, 3) from all parts, 0 within."""
+        distances = self._surface.distance(points)
+        order = np.argsort(-distances, kind="stable")
+        # Few points of a mesh are deep within its parts: most need not be asked.
+        for first in range(0, len(order), AT_A_TIME):
+            some = order[first : first + AT_A_TIME]
+            outside = ~self._inside(points[some])
+            if outside.any():
+                return float(distances[some[outside]].max())
+        return 0.0
+
+    def _inside(self, points: np.ndarray) -> np.ndarray:
+        """Which points (N, 3) lie in one of the parts."""
+        found = np.zeros(len(points), bool)
+        if len(points) == 0:
+            return found
+        # Hundreds of parts, each small: only those among the points, and the points within their range of x.
+        order = np.argsort(points[:, 0], kind="stable")
+        ordered = points[order]
+        met = (self._boxes[:, 0] <= points.max(0)).all(1) & (self._boxes[:, 1] >= points.min(0)).all(1)
+        ranges = np.searchsorted(ordered[:, 0], self._boxes[:, :, 0])
+        inside = np.zeros(len(points), bool)
+        for number in np.flatnonzero(met & (ranges[:, 0] < ranges[:, 1])):
+            first, last = ranges[number]
+            span, (low, high) = ordered[first:last], self._boxes[number]
+            near = first + np.flatnonzero(
+                ~inside[first:last] & (span[:, 1:] >= low[1:]).all(1) & (span[:, 1:] <= high[1:]).all(1)
+            )
+            if len(near):
+                inside[near] = self._hulls[number].holds(ordered[near])
+        found[order] = inside
+        return found
+
+
+@dataclass(frozen=True)
+class _Hull:
+    """A convex part by the planes of its faces: normals (F, 3) and heights (F,) [m]; box: corners (2, 3)."""
+
+    part: trimesh.Trimesh
+    normals: np.ndarray
+    heights: np.ndarray
+    box: np.ndarray
+
+    @staticmethod
+    def of(part: trimesh.Trimesh) -> _Hull:
+        normals = np.asarray(part.face_normals)
+        heights = np.einsum("ij,ij->i", normals, part.triangles[:, 0])
+        return _Hull(part, normals, heights, np.asarray(part.bounds))
+
+    def holds(self, points: np.ndarray) -> np.ndarray:
+        """Which points (N, 3) lie behind all planes."""
+        if len(points) * len(self.normals) > MOST_PAIRS:
+            return Solid(self.part).inside(points)
+        return (points @ self.normals.T <= self.heights).all(1)
 
 
 def _together(parts: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
@@ -49,27 +125,3 @@ def _points(mesh: trimesh.Trimesh) -> np.ndarray:
     """Vertices and evenly drawn surface points (N, 3) [m]."""
     drawn, _ = trimesh.sample.sample_surface(mesh, SAMPLES, seed=0)
     return np.concatenate([mesh.vertices, drawn]).astype(np.float32)
-
-
-def _inside_any(points: np.ndarray, parts: Sequence[trimesh.Trimesh]) -> np.ndarray:
-    """Which points (N, 3) lie in one of the convex parts: behind all planes of its faces."""
-    # Hundreds of parts, each small: only the points within its range of x are looked at.
-    order = np.argsort(points[:, 0], kind="stable")
-    ordered = points[order]
-    inside = np.zeros(len(points), bool)
-    for part in parts:
-        low, high = part.bounds
-        first, last = np.searchsorted(ordered[:, 0], [low[0], high[0]], side="left")
-        span = ordered[first:last]
-        near = first + np.flatnonzero(
-            ~inside[first:last] & (span[:, 1:] >= low[1:]).all(1) & (span[:, 1:] <= high[1:]).all(1)
-        )
-        if len(near) * len(part.faces) > MOST_PAIRS:
-            inside[near] = Solid(part).inside(ordered[near])
-            continue
-        normals = part.face_normals
-        height = np.einsum("ij,ij->i", normals, part.triangles[:, 0])
-        inside[near] = (ordered[near] @ normals.T <= height).all(1)
-    found = np.empty(len(points), bool)
-    found[order] = inside
-    return found

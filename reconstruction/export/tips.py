@@ -10,11 +10,14 @@ from collections.abc import Sequence
 import numpy as np
 import trimesh
 
-from reconstruction.export.parts_error import lacking
+from reconstruction.export.cutting import Cutter, solid_of
+from reconstruction.export.parts_error import Union
 from reconstruction.export.refine import refined
+from reconstruction.solid import Solid
 
-ROOT = 0.0005
-"""A tip is all around a lacking place that is this far from the parts, and one ring of vertices more [m]."""
+ROOT = 0.0012
+"""A tip is all around a lacking place that is this far from the parts, and one ring of vertices more [m]:
+simplification takes that much off anywhere."""
 
 
 def tips(mesh: trimesh.Trimesh, parts: Sequence[trimesh.Trimesh], limit: float) -> list[trimesh.Trimesh]:
@@ -26,14 +29,34 @@ def tips(mesh: trimesh.Trimesh, parts: Sequence[trimesh.Trimesh], limit: float) 
     from scipy.sparse.csgraph import connected_components
 
     vertices, edges = np.asarray(mesh.vertices), np.asarray(mesh.edges_unique)
-    missing = lacking(vertices.astype(np.float32), parts)
-    if (missing <= limit).all():
+    lacks = _lacking_regions(vertices.astype(np.float32), edges, parts, limit)
+    if not lacks.any():
         return []
-    inner = edges[(missing[edges] > ROOT).all(1)]
+    inner = edges[lacks[edges].all(1)]
     graph = coo_matrix((np.ones(len(inner)), inner.T), (len(vertices), len(vertices)))
     _, of_vertex = connected_components(graph, directed=False)
     found = []
-    for tip in np.unique(of_vertex[missing > limit]):
+    for tip in np.unique(of_vertex[lacks]):
         own = of_vertex == tip
         found.append(vertices[np.unique(edges[own[edges].any(1)])])
-    return refined(found, mesh, mesh, limit)
+    cutter = Cutter(solid_of(vertices, mesh.faces), found)
+    return refined(cutter.hulls, Solid(mesh), cutter.halve, limit)
+
+
+def _lacking_regions(
+    corners: np.ndarray, edges: np.ndarray, parts: Sequence[trimesh.Trimesh], limit: float
+) -> np.ndarray:
+    """Which of corners (N, 3) are further than `limit` [m] from all parts, or than ROOT and joined to such by
+    edges (M, 2) between such: (N,) bool."""
+    union = Union(parts)
+    lacks = union.lacking(corners, limit) > 0
+    asked = lacks.copy()
+    while True:
+        # Ring by ring: asking all vertices which parts they are in would take longer than the rest.
+        ring = np.unique(edges[lacks[edges].any(1)])
+        ring = ring[~asked[ring]]
+        asked[ring] = True
+        new = ring[union.lacking(corners[ring], ROOT) > 0]
+        if len(new) == 0:
+            return lacks
+        lacks[new] = True

@@ -76,11 +76,9 @@ def decode_ply(path: Path) -> tuple[trimesh.Trimesh, np.ndarray]:
 
 def encode_obj(mesh: trimesh.Trimesh) -> bytes:
     """Wavefront OBJ with positions [m, to 10 nanometres] and triangles only, which every planner reads."""
-    vertices = "".join(
-        f"v {x:.{OBJ_DECIMALS}f} {y:.{OBJ_DECIMALS}f} {z:.{OBJ_DECIMALS}f}\n"
-        for x, y, z in mesh.vertices.tolist()
-    )
-    faces = "".join(f"f {a} {b} {c}\n" for a, b, c in (mesh.faces + 1).tolist())
+    line = f"v %.{OBJ_DECIMALS}f %.{OBJ_DECIMALS}f %.{OBJ_DECIMALS}f\n"
+    vertices = line * len(mesh.vertices) % tuple(np.asarray(mesh.vertices).ravel().tolist())
+    faces = "f %d %d %d\n" * len(mesh.faces) % tuple((np.asarray(mesh.faces) + 1).ravel().tolist())
     return ("# contramap, metres\n" + vertices + faces).encode()
 
 
