@@ -28,7 +28,7 @@ PR_SET_PDEATHSIG = 1
 """Of Linux's prctl."""
 
 
-def pack(**arrays: np.ndarray) -> bytes:
+def pack(**arrays: Any) -> bytes:
     """A message of arrays."""
     content = io.BytesIO()
     np.savez(content, **arrays)
