@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
+from mapping.bounds import column_sums, parabola
 from mapping.compiled import compiled
 from mapping.lanes import (
     LANES,
@@ -25,6 +26,7 @@ from mapping.lanes import (
     over,
     plus,
     plus_product,
+    store,
     sum_of,
     times,
 )
@@ -91,6 +93,16 @@ class LastClass:
         sums = self.threads.map(lambda share: _curvatures(share, self.offset, weights), self.shares)
         return torch.from_numpy(np.sum(sums, 0)[:, None] + np.float32(self.l2))
 
+    def bound_at(self, W: torch.Tensor) -> torch.Tensor:
+        weights = W.numpy().reshape(-1)
+
+        def bound(share: _Share) -> np.ndarray:
+            rows = _parabolas(share, self.offset, weights)
+            return np.asarray(column_sums(share.tiles, rows, self.shape[0]))
+
+        sums = self.threads.map(bound, self.shares)
+        return torch.from_numpy(np.sum(sums, 0)[:, None] + np.float32(self.l2))
+
     def at(self, W: torch.Tensor) -> tuple[float, torch.Tensor]:
         weights = W.numpy().reshape(-1)
         losses, slopes = zip(
@@ -132,6 +144,20 @@ def _curvatures(share: _Share, offset: float, W: np.ndarray) -> np.ndarray:
         spread = times(times(p, minus(one, p)), load(weights, LANES * t))
         _add_to_columns(tiles, t, spread, True, sums)
     return sums
+
+
+@compiled
+def _parabolas(share: _Share, offset: float, W: np.ndarray) -> np.ndarray:
+    """(8 T,) curvature of a parabola above each row's loss, times its weight."""
+    tiles, _, weights, others = share
+    out = np.empty(len(weights), np.float32)
+    for t in range(len(tiles.starts) - 1):
+        logit, other = _logit(tiles, t, offset, W), load(others, LANES * t)
+        highest = larger(logit, other)
+        power, rest = exponential(minus(logit, highest)), exponential(minus(other, highest))
+        curvature = parabola(power, rest, plus(power, rest))
+        store(out, LANES * t, times(curvature, load(weights, LANES * t)))
+    return out
 
 
 @compiled

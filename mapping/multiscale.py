@@ -22,7 +22,7 @@ from mapping.label_doubt import Labels, label_doubt
 from mapping.label_noise import disagreement, true_labels, wrong_label_share
 from mapping.lattice_factor import LatticeFactor
 from mapping.samples import merge_in_cells
-from mapping.settings import Checked, NotNegative, OpenShare, Positive, Share
+from mapping.settings import Checked, CountOrNone, NotNegative, OpenShare, Positive, Share
 from mapping.softmax import FitReport
 from mapping.weighed_features import WeighedFeatures, fit_classes, fit_last_class
 
@@ -83,7 +83,10 @@ class MultiscaleConfig(Checked):
     far_uncertainty: OpenShare = 0.95
     """p(uncertain) out of reach of every hinge point."""
     fit: FitConfig = field(default_factory=lambda: FitConfig(tolerance=4e-4, memory=4, renew=8))
-    """How the loss is minimised."""
+    """How the loss is minimised, unless local_steps says otherwise."""
+    local_steps: CountOrNone = 0
+    """So many steps that depend on what is near alone: parts fitted alone have the whole's probabilities,
+    for about twice the time. 0: quasi-Newton steps, which look at all data."""
 
 
 @dataclass(frozen=True)
@@ -166,11 +169,12 @@ class MultiscaleMap:
         data, factor = WeighedFeatures.of(X, weights, self.hinges), LatticeFactor.of(self.hinges)
         labels, offset = np.eye(len(self.known), dtype=np.float32)[y], self._offset()
         given, columns = offset[: len(self.known)], np.arange(len(self.known))
-        self.W, self.report = fit_classes(data, labels, given, factor, l2, config.fit)
+        how = config.fit, config.local_steps
+        self.W, self.report = fit_classes(data, labels, given, factor, l2, *how)
         if mend:
             shares = shares_at(X, self.hinges, self.W, given, columns, len(columns))
             labels, l2 = true_labels(y, shares, whole.wrong), config.mended_penalty * l2
-            self.W, self.report = fit_classes(data, labels, given, factor, l2, config.fit, self.W)
+            self.W, self.report = fit_classes(data, labels, given, factor, l2, *how, self.W)
         if self.uncertain:
             samples = [data]
             targets = [config.doubt * disagreement(X, labels.argmax(1), config.label_cells[-1])]
@@ -179,7 +183,7 @@ class MultiscaleMap:
             if len(noise):
                 samples.append(WeighedFeatures.of(noise, np.ones(len(noise)), self.hinges))
                 targets.append(np.ones(len(noise)))
-            last = fit_last_class(samples, targets, self.W, offset, factor, l2, config.fit)
+            last = fit_last_class(samples, targets, self.W, offset, factor, l2, *how)
             self.W = np.concatenate([self.W, last], axis=1)
             del samples
         del data, labels

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 import torch
 
+from mapping.bounds import class_bounds
 from mapping.sparse_features import SparseFeatures
 from mapping.threads import Threads
 from mapping.tiled_features import TiledFeatures
@@ -32,6 +33,18 @@ class Objective(Protocol):
         """The objective at W (H, C) and its derivative (H, C)."""
 
 
+class Bounded(Protocol):
+    """An objective whose curvature is bounded weight by weight, from the samples that touch a weight."""
+
+    shape: tuple[int, int]
+
+    def bound_at(self, W: torch.Tensor) -> torch.Tensor:
+        """The diagonal (H, C) of a matrix that is no less than the Hessian near W (H, C)."""
+
+    def at(self, W: torch.Tensor) -> tuple[float, torch.Tensor]:
+        """The objective at W (H, C) and its derivative (H, C)."""
+
+
 def objective_of(
     features: TiledFeatures | SparseFeatures,
     targets: torch.Tensor,
@@ -48,12 +61,13 @@ def objective_of(
         targets = torch.nn.functional.one_hot(targets, len(offset)).float()
     targets = targets * weights[:, None]
     if isinstance(features, TiledFeatures):
-        return _TiledObjective(features, targets, weights, offset, l2, threads)
+        return TiledObjective(features, targets, weights, offset, l2, threads)
     return _SparseObjective(features, targets, weights, offset, l2)
 
 
-class _TiledObjective:
-    """In one pass over the tiles of each share, whose features stay in the processor's cache meanwhile."""
+class TiledObjective:
+    """Of targets (N, C) times their weights: in one pass over the tiles of each share, whose features stay in
+    the processor's cache meanwhile."""
 
     def __init__(
         self,
@@ -84,6 +98,13 @@ class _TiledObjective:
         weights = flat(W.numpy())
         sums = self.threads.map(
             lambda share: curvatures(share[0], share[2], self.offset, weights), self.shares
+        )
+        return torch.from_numpy(np.sum(sums, 0)[: W.numel()].reshape(W.shape) + np.float32(self.l2))
+
+    def bound_at(self, W: torch.Tensor) -> torch.Tensor:
+        weights = flat(W.numpy())
+        sums = self.threads.map(
+            lambda share: class_bounds(share[0], share[2], self.offset, weights), self.shares
         )
         return torch.from_numpy(np.sum(sums, 0)[: W.numel()].reshape(W.shape) + np.float32(self.l2))
 

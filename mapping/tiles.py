@@ -121,7 +121,7 @@ def cross_entropy(
     loss = 0.0
     for t in range(len(tiles.starts) - 1):
         own = slice(tiles.starts[t], tiles.starts[t + 1])
-        _logits(tiles, own.start, own.stop, W, offset, logits)
+        fill_logits(tiles, own.start, own.stop, W, offset, logits)
         highest = load(logits, 0)
         for c in range(1, classes):
             highest = larger(highest, load(logits, c * LANES))
@@ -146,7 +146,7 @@ def cross_entropy(
             store(lanes, 0, share)
             for lane in range(LANES):
                 residual[lane * padded + c] = lanes[lane]
-        _add_slopes(tiles, own.start, own.stop, residual, padded, classes, slopes)
+        add_slopes(tiles, own.start, own.stop, residual, padded, classes, slopes)
     return loss, slopes
 
 
@@ -161,8 +161,8 @@ def curvatures(tiles: Tiles, weights: np.ndarray, offset: np.ndarray, W: np.ndar
     squares, lanes = np.empty(0, np.float32), np.empty(LANES, np.float32)
     for t in range(len(tiles.starts) - 1):
         own = slice(tiles.starts[t], tiles.starts[t + 1])
-        _logits(tiles, own.start, own.stop, W, offset, logits)
-        total = _powers(classes, logits)
+        fill_logits(tiles, own.start, own.stop, W, offset, logits)
+        total = powers(classes, logits)
         for c in range(classes):
             share = over(load(logits, c * LANES), total)
             share = times(times(share, minus(every(np.float32(1)), share)), load(weight, t * LANES))
@@ -175,7 +175,7 @@ def curvatures(tiles: Tiles, weights: np.ndarray, offset: np.ndarray, W: np.ndar
             value = load(tiles.values, LANES * (own.start + k))
             store(squares, LANES * k, times(value, value))
         squared = Tiles(tiles.starts, tiles.columns[own], squares)
-        _add_slopes(squared, 0, own.stop - own.start, spread, padded, classes, sums)
+        add_slopes(squared, 0, own.stop - own.start, spread, padded, classes, sums)
     return sums
 
 
@@ -193,8 +193,8 @@ def answer_tiles(
     classes = len(offset)
     logits = np.empty(-(-classes // LANES) * LANES * LANES, np.float32)
     for t in range(len(tiles.starts) - 1):
-        _logits(tiles, tiles.starts[t], tiles.starts[t + 1], W, offset, logits)
-        total = _powers(classes, logits)
+        fill_logits(tiles, tiles.starts[t], tiles.starts[t + 1], W, offset, logits)
+        total = powers(classes, logits)
         for c in range(classes):
             store(logits, c * LANES, over(load(logits, c * LANES), total))
         for lane in range(min(LANES, len(order) - LANES * t)):
@@ -210,16 +210,16 @@ def log_sums(tiles: Tiles, W: np.ndarray, offset: np.ndarray) -> np.ndarray:
     logits = np.empty(-(-classes // LANES) * LANES * LANES, np.float32)
     out = np.empty(count * LANES, np.float32)
     for t in range(count):
-        _logits(tiles, tiles.starts[t], tiles.starts[t + 1], W, offset, logits)
+        fill_logits(tiles, tiles.starts[t], tiles.starts[t + 1], W, offset, logits)
         highest = load(logits, 0)
         for c in range(1, classes):
             highest = larger(highest, load(logits, c * LANES))
-        store(out, t * LANES, plus(highest, logarithm(_powers(classes, logits))))
+        store(out, t * LANES, plus(highest, logarithm(powers(classes, logits))))
     return out
 
 
 @compiled
-def _powers(classes: int, logits: np.ndarray) -> Any:
+def powers(classes: int, logits: np.ndarray) -> Any:
     """exp of a tile's logits (C, 8), less each row's largest, in their place; the vector of rows' sums."""
     highest = load(logits, 0)
     for c in range(1, classes):
@@ -233,7 +233,7 @@ def _powers(classes: int, logits: np.ndarray) -> Any:
 
 
 @compiled
-def _logits(
+def fill_logits(
     tiles: Tiles, first: int, last: int, W: np.ndarray, offset: np.ndarray, logits: np.ndarray
 ) -> None:
     """Fill logits (C rounded up, 8) of the tile whose columns are first..last."""
@@ -274,7 +274,7 @@ def _logits(
 
 
 @compiled
-def _add_slopes(
+def add_slopes(
     tiles: Tiles, first: int, last: int, residual: np.ndarray, padded: int, classes: int, slopes: np.ndarray
 ) -> None:
     """Add a tile's share, residual (8, padded), to the derivative by its columns' weights, first..last."""

@@ -15,6 +15,8 @@ from mapping.hashed_hinges import HashedHinges
 from mapping.hashed_tiles import features_in_tiles
 from mapping.last_class import LastClass
 from mapping.lattice_factor import LatticeFactor
+from mapping.local_steps import fit_locally
+from mapping.objectives import TiledObjective
 from mapping.softmax import FitReport, fit_softmax, minimise
 from mapping.threads import Threads
 from mapping.tiled_features import TiledFeatures
@@ -47,24 +49,28 @@ def fit_classes(
     factor: LatticeFactor,
     l2: float,
     config: FitConfig,
+    steps: int = 0,
     start: np.ndarray | None = None,
 ) -> tuple[np.ndarray, FitReport]:
     """Weights (H, C) that explain targets (N, C), shares of the classes, in the caller's order.
 
-    l2: penalty beside the sum over the samples as they were weighed, so that parts and wholes agree; start:
-    (H, C) where the fit begins, 0 by default.
+    l2: penalty beside the sum over the samples as they were weighed, so that parts and wholes agree; steps:
+    so many local ones, or, where it is 0, quasi-Newton ones as config says; start: (H, C) where the fit
+    begins, 0 by default.
     """
     total = float(samples.weights.sum())
-    W, report = fit_softmax(
-        samples.features,
-        torch.from_numpy(targets[samples.features.order]),
-        torch.from_numpy((samples.weights / total).astype(np.float32)),
-        torch.from_numpy(offset),
-        factor.scaled,
-        l2 / total,
-        config,
-        None if start is None else torch.from_numpy(start),
-    )
+    shares = torch.from_numpy((samples.weights / total).astype(np.float32))
+    wanted, given = torch.from_numpy(targets[samples.features.order]), torch.from_numpy(offset)
+    begin = None if start is None else torch.from_numpy(start)
+    if steps:
+        with Threads() as threads:
+            weighed = wanted * shares[:, None]
+            objective = TiledObjective(samples.features, weighed, shares, given, l2 / total, threads)
+            W, report = fit_locally(objective, steps, begin)
+    else:
+        W, report = fit_softmax(
+            samples.features, wanted, shares, given, factor.scaled, l2 / total, config, begin
+        )
     return W.numpy(), report
 
 
@@ -76,10 +82,12 @@ def fit_last_class(
     factor: LatticeFactor,
     l2: float,
     config: FitConfig,
+    steps: int = 0,
 ) -> np.ndarray:
     """Weights (H, 1) of one more class, the others' W (H, C) staying as they are.
 
-    targets: of each kind of samples, (N,) shares of that class; offset: (C + 1,); l2: as in `fit_classes`.
+    targets: of each kind of samples, (N,) shares of that class; offset: (C + 1,); l2, steps: as in
+    `fit_classes`.
     """
     total = float(sum(kind.weights.sum() for kind in samples))
     with Threads() as threads:
@@ -92,6 +100,10 @@ def fit_last_class(
             l2 / total,
             threads,
         )
-        start = torch.zeros(objective.shape)
-        found, _ = minimise(objective, factor.scaled(objective.curvature()), factor.scaled, config, start)
+        if steps:
+            found, _ = fit_locally(objective, steps, None)
+        else:
+            start = torch.zeros(objective.shape)
+            whitened = factor.scaled(objective.curvature())
+            found, _ = minimise(objective, whitened, factor.scaled, config, start)
     return found.numpy()

@@ -11,7 +11,6 @@ import torch
 from scipy.special import softmax
 
 from mapping.cell_noise import cells_around, noise_in
-from mapping.config import FitConfig
 from mapping.errors import ConfigError, DataError
 from mapping.hashed_hinges import filled_nodes, hinges_at
 from mapping.hashed_tiles import features_in_tiles, shares_at
@@ -160,9 +159,7 @@ def test_doubt_is_the_lead_that_a_label_lacks(fitted):
 def test_a_part_fitted_alone_is_the_whole_in_its_middle():
     X, y = street(400)
     X, y = np.concatenate([X, X[y == 2] + [40.0, 0, 0]]), np.append(y, np.full((y == 2).sum(), 3))
-    config = replace(
-        MultiscaleConfig(), fit=FitConfig(tolerance=1e-7, memory=12, max_iterations=2000, renew=10)
-    )
+    config = replace(MultiscaleConfig(), local_steps=40)  # far from the minimum
     whole = Whole.of(X, y, 4, config)
     part = X[:, 0] < 10  # without class 3, and without the place where cells could be counted from
     asked = X[X[:, 0] < 3][::5] + np.random.default_rng(0).normal(0, 0.1, (1, 3))

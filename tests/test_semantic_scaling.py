@@ -89,7 +89,7 @@ def test_scans_tiles_and_killed_workers_on_a_street(street_data, tmp_path):
         "tiles",
         "killed",
         "--tolerances",
-        "1e-6",
+        "4e-4",
         "--out",
         str(tmp_path),
     ]
@@ -97,6 +97,8 @@ def test_scans_tiles_and_killed_workers_on_a_street(street_data, tmp_path):
     figures = json.loads((tmp_path / "benchmark.json").read_text())
     assert figures["scan"]["00"]["ask"]["asked"] == 5_000_000
     assert figures["merged"]["00"]["merged"]["points"] > figures["scan"]["00"]["fit"]["points"]
+    assert [row["steps"] for row in figures["tiles"]] == [100, 0]
     assert figures["tiles"][0]["label_same"] > 0.99
+    assert figures["tiles"][0]["away_same"] > 0.99
     assert figures["killed"]["worker_same"] == figures["killed"]["run_same"] == 1
     assert "the same bytes" in (tmp_path / "table.md").read_text()

@@ -20,7 +20,7 @@ from tools.reproduce.semantic.run import miou
 from tools.reproduce.semantic.scenes import load_scene
 from tools.runs.workers import run_in_workers
 from tools.semantic.inputs import read_scans
-from tools.semantic.tiles import Job, Tile, ask_tiles, create_store, fit_tile, plan_tiles, with_tolerance
+from tools.semantic.tiles import STEPS, Job, Tile, ask_tiles, create_store, fit_tile, fitted_so, plan_tiles
 from tools.semantic.workers import Task, make_tiles
 from tools.stopwatch import Stopwatch
 
@@ -37,12 +37,13 @@ KILL_S = 0.3
 
 @dataclass(frozen=True)
 class TilesTrial:
-    """One map against many of the first scan of a sequence, a tenth of its points held out. tolerance: of the
-    fits, the setting's own if None; folder: to work in."""
+    """One map against many of the first scan of a sequence, a tenth of its points held out. steps, tolerance:
+    of the fits, see `fitted_so`; folder: to work in."""
 
     data: Path
     sequence: str
     folder: Path
+    steps: int
     tolerance: float | None
     threads: int
     seed: int
@@ -59,7 +60,7 @@ def one_against_many(trial: TilesTrial) -> dict[str, float]:
     X, y, truth = scene.X[~held].astype(np.float32), scene.y[~held], scene.y[held]
     near = scene.X[held].astype(np.float32)
     asked = np.concatenate([near, near + rng.normal(0, AROUND, near.shape).astype(np.float32)])
-    config = with_tolerance(MultiscaleConfig(), trial.tolerance)
+    config = fitted_so(MultiscaleConfig(), trial.steps, trial.tolerance)
     whole = Whole.of(X, y, scene.classes, config)
     job = Job(trial.folder, plan_tiles(X, VOXEL, SIDE, OVERLAP), config, whole, trial.seed)
     (trial.folder / "tiles").mkdir(parents=True, exist_ok=True)
@@ -80,7 +81,7 @@ def one_against_many(trial: TilesTrial) -> dict[str, float]:
     return {
         **figures,
         "tiles": float(len(tiles)),
-        "steps": float(model.report.iterations),
+        "taken": float(model.report.iterations),
         "miou_one": miou(truth, labels[0][: len(truth)]),
         "miou_many": miou(truth, labels[1][: len(truth)]),
         "label_same": float((labels[0] == labels[1]).mean()),
@@ -98,7 +99,7 @@ def killed_against_whole(scans: tuple[Path, ...], folder: Path, seed: int) -> di
     clouds = read_scans(scans, seed)
     X = np.concatenate([cloud.points for cloud in clouds]).astype(np.float32)
     y = np.concatenate([cloud.labels for cloud in clouds])
-    config = MultiscaleConfig()
+    config = fitted_so(MultiscaleConfig(), STEPS, None)
     whole = Whole.of(X, y, len(clouds[0].names), config)
     plan = plan_tiles(X, VOXEL, SIDE, OVERLAP)
     prints, deaths = {}, 0

@@ -28,7 +28,8 @@ def semantic_benchmark(
     data: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     sequences: tuple[str, ...] = ("05",),
     merged: str = "00",
-    tolerances: tuple[float, ...] = (4e-4,),
+    steps: tuple[int, ...] = (100,),
+    tolerances: tuple[float, ...] = (),
     samples: tuple[int, ...] = (10_000, 100_000, 1_000_000, 10_000_000),
     scales: tuple[float, ...] = (16.0, 5.0, 1.6, 0.6, 0.35),
     repeat: int = 3,
@@ -48,7 +49,8 @@ def semantic_benchmark(
         data: Folder that holds sequences/, for all but curves.
         sequences: Sequences whose first scan is taken.
         merged: Sequence whose scans are taken together.
-        tolerances: Of fits whose tiles are compared with one tile.
+        steps: Local steps of fits whose tiles are compared with one tile.
+        tolerances: The same of quasi-Newton fits.
         samples: Numbers of samples of the curves, with a tenth as many hinge points.
         scales: Factors of all distances of hinge points, with a million samples (or the most, if fewer).
         repeat: Times that a scan's fit and queries are measured; medians are shown.
@@ -65,8 +67,8 @@ def semantic_benchmark(
         raise ConfigError(
             "--samples must be at least 100 each, --scales > 0, --threads and --repeat at least 1"
         )
-    if not tolerances or min(tolerances) <= 0:
-        raise ConfigError("--tolerances must be > 0")
+    if min(steps, default=1) < 1 or min(tolerances, default=1) <= 0:
+        raise ConfigError("--steps must be at least 1 and --tolerances > 0")
     found: dict[str, Any] = {}
     parts = []
     runs = _Runs(out, data, threads, seed)
@@ -80,7 +82,8 @@ def semantic_benchmark(
     if "scan" in found or "merged" in found:
         parts.append(scans_table(found.get("scan", {}), found.get("merged", {})))
     if "tiles" in what:
-        found["tiles"] = [runs.tiles(name, limit) for name in sequences for limit in tolerances]
+        fits = [*((count, None) for count in steps), *((0, limit) for limit in tolerances)]
+        found["tiles"] = [runs.tiles(name, *fit) for name in sequences for fit in fits]
         parts.append(tiles_table(found["tiles"]))
     if "killed" in what:
         found["killed"] = runs.killed(merged)
@@ -124,14 +127,14 @@ class _Runs:
             lambda: self._alone(measure, trial),
         )
 
-    def tiles(self, sequence: str, tolerance: float) -> dict[str, float]:
-        """One tile against many."""
+    def tiles(self, sequence: str, steps: int, tolerance: float | None) -> dict[str, Any]:
+        """One tile against many, fitted in local steps or to a tolerance."""
         from tools.semantic.agreement import TilesTrial, one_against_many
 
-        name = f"tiles-{sequence}-{tolerance:g}"
+        name = f"tiles-{sequence}-{steps or f'{tolerance:g}'}"
         folder = self._folder(name)
-        trial = TilesTrial(self.data, sequence, folder, tolerance, self.threads, self.seed)
-        settings = {"sequence": sequence, "tolerance": tolerance}
+        trial = TilesTrial(self.data, sequence, folder, steps, tolerance, self.threads, self.seed)
+        settings = {"sequence": sequence, "steps": steps, "tolerance": tolerance}
         found = self._kept(
             name,
             {**settings, "threads": self.threads, "seed": self.seed},

@@ -37,8 +37,7 @@ def tiles_table(rows: Sequence[dict[str, Any]]) -> str:
     header = [
         *(
             "sequence",
-            "tolerance [nats]",
-            "steps",
+            "fit",
             "one tile, CPU (wall) [s]",
             "many, CPU (wall) [s]",
             "tiles",
@@ -51,8 +50,9 @@ def tiles_table(rows: Sequence[dict[str, Any]]) -> str:
         table.append(
             [
                 row["sequence"],
-                f"{row['tolerance']:g}",
-                f"{row['steps']:.0f}",
+                f"{row['steps']} local steps"
+                if row["steps"]
+                else f"{row['taken']:.0f} steps, to {row['tolerance']:g} nats",
                 *(f"{seconds(row[f'{k}_cpu_s'])} ({seconds(row[f'{k}_s'])})" for k in ("one", "many")),
                 f"{row['tiles']:.0f}",
                 f"{row['miou_one']:.4f}",

@@ -22,6 +22,8 @@ Tile = tuple[int, int]
 """A tile's index along x and y."""
 NOTHING = 255
 """Label of voxels that no point is near; their doubt and their p(uncertain) are 1."""
+STEPS = 100
+"""Local steps of a tile's fit: the loss that quasi-Newton steps of the map's own tolerance end at."""
 VOXELS = (("label", "uint8", NOTHING), ("doubt", "float16", 1.0), ("uncertain", "float16", 1.0))
 """Arrays of the voxel store: name, type and what is there where nothing was written."""
 
@@ -177,13 +179,15 @@ def create_store(job: Job, names: tuple[str, ...]) -> None:
         store.create_array(name, shape=job.plan.counts, chunks=chunks, dtype=kind, fill_value=fill)
 
 
-def with_tolerance(config: MultiscaleConfig, tolerance: float | None) -> MultiscaleConfig:
-    """Settings whose fits go on until a step lowers the mean loss [nats] by less; None: as they are."""
+def fitted_so(config: MultiscaleConfig, steps: int, tolerance: float | None) -> MultiscaleConfig:
+    """Settings whose fits take so many local steps, which give tiles one tile's probabilities; or, with a
+    tolerance, quasi-Newton ones until a step lowers the mean loss [nats] by less."""
     if tolerance is None:
-        return config
+        return replace(config, local_steps=steps)
     # Long fits are worth a longer memory.
     memory = 16 if tolerance < config.fit.tolerance else config.fit.memory
-    return replace(config, fit=replace(config.fit, tolerance=tolerance, memory=memory, max_iterations=5000))
+    fit = replace(config.fit, tolerance=tolerance, memory=memory, max_iterations=5000)
+    return replace(config, fit=fit, local_steps=0)
 
 
 def plan_tiles(X: np.ndarray, voxel: float, tile: float, overlap: float) -> TilePlan:
