@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mapping.compiled import compiled
+from mapping.distinct import distinct
 from mapping.kernels import cell_numbers
 
 BITS = 2
@@ -61,8 +62,9 @@ class HashedHinges(NamedTuple):
 def filled_nodes(X: np.ndarray, spacing: np.ndarray | float) -> np.ndarray:
     """Lattice nodes (M, d) int64 that are the nearest one of any point (N, d), in spacings."""
     node = np.rint(X / spacing).astype(np.int64)
-    _, first = np.unique(cell_numbers(node - node.min(0)), return_index=True)
-    return node[first]
+    number = cell_numbers(node - node.min(0))
+    first, _ = distinct(number)
+    return node[first[np.argsort(number[first])]]
 
 
 def cube_by_cube(nodes: np.ndarray) -> np.ndarray:

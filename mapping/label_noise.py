@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mapping.distinct import distinct
 from mapping.kernels import cell_numbers
 
 FEWEST = 4
@@ -53,7 +54,7 @@ def _counted(
 ) -> tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Number of cells; each point's cell (N,) and its pair of cell and label (N,); points in each of both."""
     place = np.floor(X / size)
-    _, cell = np.unique(cell_numbers(place - place.min(0)), return_inverse=True)
-    _, pair = np.unique(cell * (int(y.max()) + 1) + y, return_inverse=True)
+    _, cell = distinct(cell_numbers(place - place.min(0)))
+    _, pair = distinct(cell * (int(y.max()) + 1) + y)
     counts, pairs = np.bincount(cell), np.bincount(pair)
     return len(counts), cell, pair, counts, pairs
