@@ -82,7 +82,7 @@ class MultiscaleConfig(Checked):
     """Share of a sample's disagreement with its neighbours that becomes "uncertain" instead of its class."""
     far_uncertainty: OpenShare = 0.95
     """p(uncertain) out of reach of every hinge point."""
-    fit: FitConfig = field(default_factory=lambda: FitConfig(tolerance=4e-4, memory=4, renew=8))
+    fit: FitConfig = field(default_factory=lambda: FitConfig(tolerance=4e-4, memory=2, renew=8))
     """How the loss is minimised, unless local_steps says otherwise."""
     local_steps: CountOrNone = 0
     """So many steps that depend on what is near alone: parts fitted alone have the whole's probabilities,

@@ -66,7 +66,7 @@ def one_against_many(trial: TilesTrial) -> dict[str, float]:
     (trial.folder / "tiles").mkdir(parents=True, exist_ok=True)
     np.save(trial.folder / "points.npy", X)
     np.save(trial.folder / "labels.npy", y.astype(np.uint8))
-    MultiscaleMap().fit(X[::30], y[::30], scene.classes, np.random.default_rng(0))  # loops are compiled
+    MultiscaleMap(config).fit(X[::30], y[::30], scene.classes, np.random.default_rng(0))  # loops are compiled
     watch = Stopwatch()
     model = MultiscaleMap(config).fit(X, y, scene.classes, np.random.default_rng(trial.seed), whole)
     figures = watch.figures("one")
