@@ -85,6 +85,7 @@ def export_one(result: Path, out: Path) -> dict[str, Any]:
         "seconds": round(perf_counter() - start, 3),
         "overlap_mm": round(1e3 * overlap(out), 3),
         "collision": scene.collision_statement(),
+        "unseen_supports": sorted(scene.unseen_statement()),
     }
 
 
@@ -120,6 +121,8 @@ def summarise(figures: list[dict[str, Any]], motions: list[Motion]) -> dict[str,
         "convex_parts_median": float(np.median([entry["parts"] for entry in parts])),
         "error_mm_median": float(np.median(errors)),
         "error_mm_max": float(np.max(errors)),
+        "error_3mm": round(float(np.mean(np.array(errors) <= 3.0)), 4),
+        "on_unseen_supports": sum(len(figure["unseen_supports"]) for figure in figures),
         "overlap_mm_max": float(np.max([figure["overlap_mm"] for figure in figures])),
         "export_s_per_object": sum(figure["seconds"] for figure in figures) / max(len(parts), 1),
     }
@@ -170,6 +173,7 @@ def bullet_scene(out: Path) -> Iterator[tuple[Any, int, dict[str, int]]]:
     """pybullet, its client, and key -> body of an exported scene on its support."""
     import json
 
+    from reconstruction.export.urdf import UNSEEN
     from sim_scenes.tabletop import quiet_stdout
 
     with quiet_stdout():
@@ -187,6 +191,8 @@ def bullet_scene(out: Path) -> Iterator[tuple[Any, int, dict[str, int]]]:
             bullet.createMultiBody(
                 0, shape, -1, middle.tolist(), support["quaternion_xyzw"], physicsClientId=client
             )
+        if (out / "urdf" / UNSEEN).is_file():
+            bullet.loadURDF(str(out / "urdf" / UNSEEN), useFixedBase=True, physicsClientId=client)
         bodies = {
             key: bullet.loadURDF(
                 str(out / "urdf" / f"{key}.urdf"),

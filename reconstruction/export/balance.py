@@ -65,25 +65,43 @@ def _near(points: np.ndarray, parts: Parts) -> np.ndarray:
     return points[inside]
 
 
+def extent_of(parts: Parts) -> float:
+    """An object's diameter from above [m]."""
+    return float(np.linalg.norm(np.ptp(_corners(parts)[:, :2], axis=0)))
+
+
 def balanced(centre: np.ndarray, resting: np.ndarray, extent: float) -> np.ndarray:
     """The centre of mass (3,) [m], moved level to where an object that rests on points (N, 3) does not fall.
 
     extent: the object's diameter from above [m]. The centre stays where it is when it is well within their
     ground already, when they cover none, or when it would have to be moved too far.
     """
+    rim = _rim(resting)
+    if rim is None:
+        return centre
+    moved = _nearest_within(centre[:2], rim)
+    if np.linalg.norm(moved - centre[:2]) > FARTHEST * extent:
+        return centre
+    return np.array([*moved, centre[2]])
+
+
+def well_within(centre: np.ndarray, resting: np.ndarray) -> bool:
+    """Whether a centre of mass (3,) is well within the ground that points (N, 3) cover."""
+    rim = _rim(resting)
+    return rim is not None and bool((_nearest_within(centre[:2], rim) == centre[:2]).all())
+
+
+def _rim(resting: np.ndarray) -> np.ndarray | None:
+    """Corners (N, 2), counterclockwise, of the ground in which a centre of mass is at ease; None for none."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
         hull = ConvexHull(resting[:, :2])
     except (QhullError, ValueError):
-        return centre
+        return None
     rim = resting[hull.vertices, :2]
     middle = _centroid(rim)
-    rim = middle + WITHIN * (rim - middle)
-    moved = _nearest_within(centre[:2], rim)
-    if np.linalg.norm(moved - centre[:2]) > FARTHEST * extent:
-        return centre
-    return np.array([*moved, centre[2]])
+    return middle + WITHIN * (rim - middle)
 
 
 def _centroid(rim: np.ndarray) -> np.ndarray:

@@ -18,9 +18,11 @@ from mapping.errors import ConfigError
 from perception.camera import invert_rigid, transform
 from perception.frame import Frame
 from reconstruction.export.apart import kept_apart
-from reconstruction.export.balance import balanced, resting_points
+from reconstruction.export.at_rest import held_centres, unseen_supports
 from reconstruction.export.collision import CollisionConfig, ConvexParts, Cutter, convex_parts
 from reconstruction.export.footing import with_footing
+from reconstruction.export.seen_free import seen_free
+from reconstruction.export.unseen_support import WHY, Block
 from reconstruction.files.result_folder import StoredResult
 from reconstruction.files.scene_json import OTHER_FOLDER, object_folder
 
@@ -155,25 +157,52 @@ class ExportScene:
         return self._apart({item.label: parts for item, parts in zip(self.objects, cut)})
 
     @cached_property
+    def unseen_supports(self) -> dict[int, tuple[Block, ...]]:
+        """Label -> blocks in the table frame that hold up an object which stands on nothing known."""
+        if not self.support_found:
+            return {}
+        return unseen_supports(self._placed(self.parts), self._even_centres, self._seen_free)
+
+    @cached_property
     def centres(self) -> dict[int, np.ndarray]:
         """Label -> centre of mass (3,) [m] in the object's frame.
 
         That of an even density, or where the object does not fall from where it was seen at rest.
         """
-        even = {item.label: item.inertia(self.config.density)[1] for item in self.objects}
         if not self.support_found:
-            return even
-        poses = self._poses()
-        placed = self._placed(self.parts, poses)
-        found = {}
-        for label, centre in even.items():
-            T = poses[label]
-            here = transform(T, centre[None])[0]
-            points = np.concatenate([part.vertices for part in placed[label]])
-            extent = float(np.linalg.norm(np.ptp(points[:, :2], axis=0)))
-            there = balanced(here, resting_points(label, placed, 0.0, here[2]), extent)
-            found[label] = transform(invert_rigid(T), there[None])[0]
-        return found
+            return {item.label: item.inertia(self.config.density)[1] for item in self.objects}
+        held = held_centres(self._placed(self.parts), self._even_centres, self.unseen_supports)
+        poses = self._poses
+        return {
+            label: transform(invert_rigid(poses[label]), centre[None])[0] for label, centre in held.items()
+        }
+
+    def unseen_blocks(self, label: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Centre (3,) [m], quaternion w x y z and size (3,) [m], in the world frame, of unseen supports."""
+        return [
+            (transform(self.T_world_table, block.centre[None])[0], self.table_wxyz, block.size)
+            for block in self.unseen_supports.get(label, ())
+        ]
+
+    @cached_property
+    def table_wxyz(self) -> np.ndarray:
+        """Unit quaternion w x y z of T_world_table, w >= 0."""
+        from scipy.spatial.transform import Rotation
+
+        x, y, z, w = Rotation.from_matrix(self.T_world_table[:3, :3]).as_quat(canonical=True)
+        return np.array([w, x, y, z])
+
+    @cached_property
+    def _even_centres(self) -> dict[int, np.ndarray]:
+        """Label -> centre of mass (3,) [m] of an even density, in the table frame."""
+        return {
+            item.label: transform(self._poses[item.label], item.inertia(1.0)[1][None])[0]
+            for item in self.objects
+        }
+
+    def _seen_free(self, points: np.ndarray) -> np.ndarray:
+        """Which points (N, 3) [m, table frame] were seen to be empty: (N,) bool."""
+        return seen_free(transform(self.T_world_table, points), self.result.frames())
 
     @property
     def has_parts(self) -> bool:
@@ -206,8 +235,7 @@ class ExportScene:
 
     def _apart(self, parts: dict[int, ConvexParts]) -> dict[int, ConvexParts]:
         """The parts, cut where those of two objects overlap. All z axes are parallel: one frame for all."""
-        poses = self._poses()
-        placed = self._placed(parts, poses)
+        poses, placed = self._poses, self._placed(parts)
         apart, found = kept_apart(placed), dict(parts)
         for item in self.objects:
             kept = apart[item.label]
@@ -216,17 +244,16 @@ class ExportScene:
                 found[item.label] = ConvexParts(own, item.solid, parts[item.label].note)
         return found
 
+    @cached_property
     def _poses(self) -> dict[int, np.ndarray]:
         """Label -> T_table_object (4, 4)."""
         T_table_world = invert_rigid(self.T_world_table)
         return {item.label: T_table_world @ item.T_world_object for item in self.objects}
 
-    def _placed(
-        self, parts: dict[int, ConvexParts], poses: dict[int, np.ndarray]
-    ) -> dict[int, tuple[trimesh.Trimesh, ...]]:
+    def _placed(self, parts: dict[int, ConvexParts]) -> dict[int, tuple[trimesh.Trimesh, ...]]:
         """Label -> convex parts [m] in the table frame."""
         return {
-            label: tuple(moved(part, poses[label]) for part in of_one.parts)
+            label: tuple(moved(part, self._poses[label]) for part in of_one.parts)
             for label, of_one in parts.items()
         }
 
@@ -248,6 +275,15 @@ class ExportScene:
                 **({"note": note} if (note := self.parts[item.label].note) else {}),
             }
             for item in self.objects
+        }
+
+    def unseen_statement(self) -> dict[str, Any]:
+        """Which objects stand on fixed blocks, how many, and why; {} before a format has asked for them."""
+        found = self.__dict__.get("unseen_supports", {})
+        return {
+            item.key: {"blocks": len(found[item.label]), "why": WHY}
+            for item in self.objects
+            if item.label in found
         }
 
     def _inflated(self) -> dict[int, trimesh.Trimesh]:

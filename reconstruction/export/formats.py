@@ -118,6 +118,7 @@ def _state(module: Format, name: str, scene: ExportScene, folder: Path) -> None:
         "up": scene.up.round(9).tolist(),
         "objects": {item.key: {"label": item.label, "name": item.name} for item in scene.objects},
         **({"collision": scene.collision_statement()} if scene.has_parts else {}),
+        **({"unseen_supports": unseen} if (unseen := scene.unseen_statement()) else {}),
         "files": sorted(path.name + "/" * path.is_dir() for path in folder.iterdir()),
     }
     (folder / STATEMENT).write_text(json.dumps(statement, indent=1) + "\n", encoding="utf-8")

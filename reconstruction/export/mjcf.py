@@ -40,26 +40,40 @@ def write(scene: ExportScene, folder: Path) -> None:
     (folder / "meshes").mkdir()
     for item in scene.objects:
         _body(item, scene, assets, world, folder / "meshes")
+        _unseen_support(item, scene, world)
     xml.indent(root)
     xml.ElementTree(root).write(folder / "scene.xml", encoding="utf-8", xml_declaration=True)
 
 
 def _support(world: xml.Element, scene: ExportScene) -> None:
-    from scipy.spatial.transform import Rotation
-
-    T = scene.T_world_table
-    x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)
     xml.SubElement(
         world,
         "geom",
         name="support",
         type="plane",
         size="1 1 0.05",
-        pos=_numbers(T[:3, 3]),
-        quat=_numbers(np.array([w, x, y, z])),
+        pos=_numbers(scene.T_world_table[:3, 3]),
+        quat=_numbers(scene.table_wxyz),
         friction=_friction(scene),
         condim=CONTACT,
     )
+
+
+def _unseen_support(item: ExportObject, scene: ExportScene, world: xml.Element) -> None:
+    """Fixed boxes: what holds an object up is not known to move."""
+    for index, (position, wxyz, size) in enumerate(scene.unseen_blocks(item.label)):
+        xml.SubElement(
+            world,
+            "geom",
+            name=f"{item.key}_unseen_support_{index:02d}",
+            type="box",
+            size=_numbers(size / 2),
+            pos=_numbers(position),
+            quat=_numbers(wxyz),
+            group=CONVEX_GROUP,
+            friction=_friction(scene),
+            condim=CONTACT,
+        )
 
 
 def _body(

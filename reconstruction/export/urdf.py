@@ -21,6 +21,8 @@ STATEMENT = {
     "pitch yaw",
 }
 
+UNSEEN = "unseen_supports.urdf"
+
 
 def write(scene: ExportScene, folder: Path) -> None:
     """<key>.urdf, meshes/<key>/visual.obj and part_<i>.obj, scene.urdf and poses.json."""
@@ -37,7 +39,30 @@ def write(scene: ExportScene, folder: Path) -> None:
         _save(single, folder / f"{item.key}.urdf")
         whole.append(_fixed_joint(item))
     _save(whole, folder / "scene.urdf")
+    if scene.unseen_supports:
+        _save(_unseen_supports(scene), folder / UNSEEN)
     write_poses(scene, folder / "poses.json")
+
+
+def _unseen_supports(scene: ExportScene) -> xml.Element:
+    """A link of mass 0, which engines keep where it is, with fixed boxes in the world frame."""
+    from scipy.spatial.transform import Rotation
+
+    robot = xml.Element("robot", name="unseen_supports")
+    robot.append(xml.Comment(" world frame, m; what must hold up objects that stand on nothing known "))
+    link = xml.SubElement(robot, "link", name="unseen_supports")
+    inertial = xml.SubElement(link, "inertial")
+    xml.SubElement(inertial, "mass", value="0")
+    xml.SubElement(inertial, "inertia", {f"i{pair}": "0" for pair in ("xx", "xy", "xz", "yy", "yz", "zz")})
+    contact = xml.SubElement(link, "contact")
+    xml.SubElement(contact, "lateral_friction", value=f"{scene.config.friction:g}")
+    angles = Rotation.from_matrix(scene.T_world_table[:3, :3]).as_euler("xyz")
+    for item in scene.objects:
+        for index, (position, _, size) in enumerate(scene.unseen_blocks(item.label)):
+            shape = xml.SubElement(link, "collision", name=f"{item.key}_{index:02d}")
+            xml.SubElement(shape, "origin", xyz=_numbers(position), rpy=_numbers(angles))
+            xml.SubElement(xml.SubElement(shape, "geometry"), "box", size=_numbers(size))
+    return robot
 
 
 def _write_meshes(item: ExportObject, parts: tuple[trimesh.Trimesh, ...], folder: Path) -> None:

@@ -34,6 +34,7 @@ def write(scene: ExportScene, folder: Path) -> None:
     physics.CreateGravityMagnitudeAttr(9.81)
     for item in scene.objects:
         _body(stage, item, scene)
+        _unseen_support(stage, item, scene)
     stage.GetRootLayer().Save()
 
 
@@ -55,6 +56,21 @@ def _body(stage: Any, item: ExportObject, scene: ExportScene) -> None:
         UsdPhysics.CollisionAPI.Apply(collider.GetPrim())
         UsdPhysics.MeshCollisionAPI.Apply(collider.GetPrim()).CreateApproximationAttr("convexHull")
         UsdGeom.Imageable(collider).CreatePurposeAttr(UsdGeom.Tokens.guide)
+
+
+def _unseen_support(stage: Any, item: ExportObject, scene: ExportScene) -> None:
+    """Colliders that are no bodies: what holds an object up is not known to move."""
+    from pxr import Gf, Tf, UsdGeom, UsdPhysics
+
+    for index, (position, wxyz, size) in enumerate(scene.unseen_blocks(item.label)):
+        name = Tf.MakeValidIdentifier(f"object_{item.key}_unseen_support_{index:02d}")
+        block = UsdGeom.Cube.Define(stage, f"/World/{name}")
+        block.CreateSizeAttr(1.0)
+        block.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*position.tolist()))
+        block.AddOrientOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Quatd(*wxyz.tolist()))
+        block.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*size.tolist()))
+        UsdPhysics.CollisionAPI.Apply(block.GetPrim())
+        block.CreatePurposeAttr(UsdGeom.Tokens.guide)
 
 
 def _mass(prim: Any, item: ExportObject, centre: np.ndarray, density: float) -> None:

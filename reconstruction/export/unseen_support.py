@@ -1,0 +1,149 @@
+"""What must hold up an object that stands on nothing known: blocks in the unseen space below it.
+
+Things were seen at rest. One that ends above the support rests on something: on a neighbour, with places that
+are hidden, or on what nobody has seen. Physics would let it fall. Knows convex parts in a frame with z up and
+which places were seen to be empty; knows nothing of formats.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+
+from reconstruction.export.apart import GAP, Parts, boxes, overlap
+from reconstruction.export.balance import well_within
+from reconstruction.solid import Solid
+
+WHY = (
+    "seen at rest, and nothing known holds it there: fixed blocks in the unseen space below it do, "
+    "which a planner may leave out"
+)
+WIDTH, THICKNESS = 0.006, 0.01
+"""Of a block at most [m]."""
+THIN = 0.003
+"""Thickness of a block where there is no room for more [m]."""
+LEAST_THICKNESS = 0.001
+"""Of a block [m]: where there is less room, the support is as near."""
+MOST = 12
+"""Blocks below an object at most."""
+ACROSS = 5
+"""Places along either side of a block where the object's underside is looked for."""
+STEP = 0.002
+"""Undersides no further apart in height than this are as good as each other [m]."""
+
+
+CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+
+
+@dataclass(frozen=True)
+class Block:
+    """An upright box: its centre (3,) and whole size (3,) [m] in the table frame."""
+
+    centre: np.ndarray
+    size: np.ndarray
+
+    @property
+    def top(self) -> float:
+        """Height of its upper face [m]."""
+        return float(self.centre[2] + self.size[2] / 2)
+
+    def shortened(self, thickness: float) -> Block:
+        """Its upper end, no thicker than `thickness` [m]."""
+        height = min(thickness, self.size[2])
+        return Block(np.array([*self.centre[:2], self.top - height / 2]), np.array([*self.size[:2], height]))
+
+    @property
+    def mesh(self) -> trimesh.Trimesh:
+        """The block as a closed mesh."""
+        return trimesh.creation.box(self.size).apply_translation(self.centre)
+
+    @property
+    def corners(self) -> np.ndarray:
+        """(8, 3) [m]"""
+        return self.centre + self.size / 2 * CORNERS
+
+
+def unseen_support(
+    own: Parts,
+    others: Sequence[Parts],
+    centre: np.ndarray,
+    is_free: Callable[[np.ndarray], np.ndarray],
+) -> tuple[Block, ...]:
+    """Blocks that end GAP below an object's underside, so that it rests on them and on what else it touches.
+
+    own: the object's convex parts; others: those of each other object; all in the table frame, where the
+    support is z = 0. centre: (3,) the object's centre of mass. is_free: which of points (N, 3) were seen to
+    be empty: no block is there. () where all below it was.
+    """
+    below = _below(own)
+    if not below:
+        return ()
+    nodes = np.concatenate([[block.centre, *block.corners] for block in below])
+    free = is_free(nodes).reshape(len(below), -1).any(1)
+    unseen = [block for block, seen in zip(below, free) if not seen]
+    around = [part for parts in others for part in parts]
+    limits = boxes(around)
+    found = [fitting for block in unseen if (fitting := _fitting(block, around, limits)) is not None]
+    if not found:
+        return ()
+    places = np.array([block.centre for block in found])
+    tops = np.array([block.top for block in found])
+    chosen = np.arange(len(found))
+    # The lowest places that hold it: what is seen from above hangs over at its sides as well.
+    for level in np.arange(tops.min(), tops.max() + STEP, STEP):
+        low = np.flatnonzero(tops <= level + STEP)
+        if well_within(centre, places[low]):
+            chosen = low
+            break
+    return tuple(found[chosen[number]] for number in _spread(places[chosen, :2], centre[:2]))
+
+
+def _below(parts: Parts) -> list[Block]:
+    """A block below each cell of a level lattice that the parts cover at least half of."""
+    together = trimesh.util.concatenate(list(parts))
+    low, high = together.bounds
+    cells = np.ceil((high[:2] - low[:2]) / WIDTH).astype(int)
+    start = (low[:2] + high[:2] - cells * WIDTH) / 2
+    within = np.linspace(0, WIDTH, ACROSS)
+    x = start[0] + (WIDTH * np.arange(cells[0])[:, None] + within).ravel()
+    y = start[1] + (WIDTH * np.arange(cells[1])[:, None] + within).ravel()
+    places = np.stack([*np.meshgrid(x, y, indexing="ij"), np.full((len(x), len(y)), low[2] - WIDTH)], -1)
+    up = np.broadcast_to([0.0, 0.0, 1.0], places.shape)
+    rise = Solid(together).cast(places.reshape(-1, 3), up.reshape(-1, 3)).reshape(len(x), len(y))
+    rise = rise.reshape(cells[0], ACROSS, cells[1], ACROSS).transpose(0, 2, 1, 3).reshape(*cells, -1)
+    covered = np.isfinite(rise).mean(-1) >= 0.5
+    top = low[2] - WIDTH + rise.min(-1) - GAP
+    found = []
+    for i, j in np.argwhere(covered & (top > LEAST_THICKNESS)):
+        bottom = max(0.0, top[i, j] - THICKNESS)
+        middle = [*(start + WIDTH * (np.array([i, j]) + 0.5)), (top[i, j] + bottom) / 2]
+        found.append(Block(np.array(middle), np.array([WIDTH, WIDTH, top[i, j] - bottom])))
+    return found
+
+
+def _fitting(block: Block, around: Sequence[trimesh.Trimesh], limits: np.ndarray) -> Block | None:
+    """The block, or its upper end, where no part of another object, in boxes (N, 2, 3), is nearer than
+    GAP."""
+    for fitting in (block, block.shortened(THIN)):
+        low, high = fitting.centre - fitting.size / 2, fitting.centre + fitting.size / 2
+        near = np.flatnonzero(((limits[:, 0] < high + GAP) & (limits[:, 1] > low - GAP)).all(1))
+        if len(near) == 0:
+            return fitting
+        mesh = fitting.mesh
+        if all(overlap(mesh, around[int(number)]) is None for number in near):
+            return fitting
+    return None
+
+
+def _spread(places: np.ndarray, start: np.ndarray) -> list[int]:
+    """Numbers of at most MOST of places (N, 2): the nearest to `start` (2,), then ever the farthest from all
+    chosen ones."""
+    chosen = [int(np.linalg.norm(places - start, axis=1).argmin())]
+    away = np.linalg.norm(places - places[chosen[0]], axis=1)
+    while len(chosen) < MOST and away.max() > 0:
+        chosen.append(int(away.argmax()))
+        away = np.minimum(away, np.linalg.norm(places - places[chosen[-1]], axis=1))
+    return chosen

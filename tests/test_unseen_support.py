@@ -1,0 +1,93 @@
+"""Blocks below what stands on nothing known: in unseen space, clear of all objects, under the centre of
+mass."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from perception.camera import Camera
+from perception.frame import Frame
+from reconstruction.export.apart import GAP, overlap
+from reconstruction.export.at_rest import held_centres, unseen_supports
+from reconstruction.export.balance import well_within
+from reconstruction.export.seen_free import CLEAR, seen_free
+from reconstruction.export.unseen_support import MOST, THIN, unseen_support
+
+
+def box(size, middle) -> trimesh.Trimesh:
+    return trimesh.creation.box(size).apply_translation(middle)
+
+
+def nothing(points):
+    return np.zeros(len(points), bool)
+
+
+def test_a_hovering_box_gets_blocks_that_hold_it():
+    hovering = box((0.1, 0.06, 0.04), (0, 0, 0.06))  # its underside at z = 4 cm
+    blocks = unseen_support((hovering,), [], np.array([0.02, 0, 0.06]), nothing)
+    assert 3 <= len(blocks) <= MOST
+    assert well_within(np.array([0.02, 0, 0.06]), np.array([block.centre for block in blocks]))
+    for block in blocks:
+        assert block.top == pytest.approx(0.04 - GAP, abs=1e-6)
+        assert overlap(block.mesh, hovering) is None
+        assert block.mesh.volume == pytest.approx(np.prod(block.size))
+        assert block.corners.min(0) == pytest.approx(block.mesh.bounds[0])
+
+
+def test_no_block_is_where_nothing_was_seen_to_be():
+    hovering = box((0.1, 0.06, 0.04), (0, 0, 0.06))
+    assert unseen_support((hovering,), [], np.zeros(3), lambda points: np.ones(len(points), bool)) == ()
+    half = unseen_support((hovering,), [], np.zeros(3), lambda points: points[:, 0] > 0)
+    assert half
+    assert all(block.corners[:, 0].max() <= 1e-9 for block in half)
+    low = box((0.1, 0.06, 0.04), (0, 0, 0.0225))  # 2.5 mm above the support: no room
+    assert unseen_support((low,), [], np.zeros(3), nothing) == ()
+
+
+def test_blocks_keep_clear_of_other_objects_and_are_thin_where_they_must():
+    hovering = box((0.1, 0.06, 0.04), (0, 0, 0.06))
+    beside = (box((0.05, 0.1, 0.05), (0.03, 0, 0.025)),)  # it ends above the underside
+    blocks = unseen_support((hovering,), [beside], np.zeros(3), nothing)
+    assert blocks
+    assert all(overlap(block.mesh, beside[0]) is None for block in blocks)
+    below = (box((0.2, 0.1, 0.03), (0, 0, 0.015)),)  # 10 mm below it
+    thin = unseen_support((hovering,), [below], np.zeros(3), nothing)
+    assert {round(float(block.size[2]), 6) for block in thin} == {THIN}
+
+
+def test_an_underside_is_followed_and_its_lowest_places_are_taken_first():
+    table_top, leg = box((0.1, 0.1, 0.01), (0, 0, 0.1)), box((0.04, 0.04, 0.06), (0, 0, 0.065))
+    tops = [b.top for b in unseen_support((table_top, leg), [], np.array([0, 0, 0.1]), nothing)]
+    assert max(tops) == pytest.approx(0.035 - GAP, abs=1e-6)
+    aside = [b.top for b in unseen_support((table_top, leg), [], np.array([0.03, 0, 0.1]), nothing)]
+    assert max(aside) == pytest.approx(0.095 - GAP, abs=1e-6)
+
+
+def test_what_stands_gets_none_and_what_hovers_keeps_its_mass_where_it_is():
+    objects = {1: (box((0.1,) * 3, (0, 0, 0.05)),), 2: (box((0.05,) * 3, (0.3, 0, 0.06)),)}
+    centres = {1: np.array([0, 0, 0.05]), 2: np.array([0.3, 0, 0.06])}
+    found = unseen_supports(objects, centres, nothing)
+    assert list(found) == [2]
+    held = held_centres(objects, centres, found)
+    assert all(np.array_equal(held[label], centres[label]) for label in centres)
+
+
+def test_a_foot_beside_its_centre_of_mass_is_not_enough():
+    crane = (box((0.02, 0.02, 0.1), (0, 0, 0.05)), box((0.3, 0.02, 0.02), (0.14, 0, 0.11)))
+    found = unseen_supports({1: crane}, {1: np.array([0.1, 0, 0.09])}, nothing)
+    assert well_within(np.array([0.1, 0, 0.09]), np.array([block.centre for block in found[1]]))
+
+
+def test_places_before_what_was_measured_were_seen_to_be_free():
+    camera = Camera(np.array([[100.0, 0, 50], [0, 100, 40], [0, 0, 1]]), 100, 80)
+    depth = np.full((80, 100), 0.5, np.float32)
+    depth[:, :20] = np.nan
+    frame = Frame(depth, camera)
+    points = np.array(
+        [[0, 0, 0.4], [0, 0, 0.5 - CLEAR / 2], [0, 0, 0.6], [0, 0, -0.4], [0.9, 0, 0.4], [-0.19, 0, 0.4]]
+    )
+    assert seen_free(points, [frame]).tolist() == [True, False, False, False, False, False]
+    far = Frame(np.full((80, 100), 0.9, np.float32), camera)
+    assert seen_free(points, [frame, far])[2]
