@@ -83,7 +83,7 @@ def unseen_support(
         return ()
     nodes = np.concatenate([[block.centre, *block.corners] for block in below])
     free = is_free(nodes).reshape(len(below), -1).any(1)
-    unseen = [block for block, seen in zip(below, free) if not seen]
+    unseen = [below[number] for number in np.flatnonzero(~free)]
     around = [part for parts in others for part in parts]
     limits = boxes(around)
     found = [fitting for block in unseen if (fitting := _fitting(block, around, limits)) is not None]
@@ -104,6 +104,7 @@ def unseen_support(
 def _below(parts: Parts) -> list[Block]:
     """A block below each cell of a level lattice that the parts cover at least half of."""
     together = trimesh.util.concatenate(list(parts))
+    assert isinstance(together, trimesh.Trimesh)
     low, high = together.bounds
     cells = np.ceil((high[:2] - low[:2]) / WIDTH).astype(int)
     start = (low[:2] + high[:2] - cells * WIDTH) / 2
