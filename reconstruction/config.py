@@ -152,6 +152,9 @@ class FusionConfig(Checked):
     """What was seen is at least this thick, unless free space shows it to be thinner [m]."""
     round_bodies: bool = True
     """What is seen of cups, bowls, cans and balls is turned about their vertical axis where it is hidden."""
+    cuboids: bool = True
+    """Cartons and books of which enough is seen to know all of their sides have these where they are
+    hidden."""
     unseen_walls: bool = True
     """Tunnels through an object that no ray passed are closed, where the map thinks a wall likeliest."""
 

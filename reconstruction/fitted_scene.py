@@ -17,18 +17,20 @@ from mapping.contramap import ContraMap
 from mapping.errors import ConfigError
 from mapping.known_points import first_in_cells
 from mapping.threads import map_in_threads
+from perception.beside_masks import beside_all_masks
 from perception.carried import beds
 from perception.frame import Frame
 from perception.observation import Observation
 from perception.observing import observe
 from perception.space import Space
 from perception.views.joint import JointObservation
-from perception.views.joint_space import space_of
+from perception.views.joint_space import each_view, space_of
 from perception.views.observing_together import observe_together
 from reconstruction.config import PaperSamples, PipelineConfig
 from reconstruction.samples.paper import draw_paper
 from reconstruction.samples.tabletop import draw_tabletop
 from reconstruction.samples.training_set import TrainingSet
+from reconstruction.surface.boxed import BoxedEdges
 from reconstruction.surface.field import Field, evaluate_field
 from reconstruction.surface.joint_surface import JointSurface
 from reconstruction.surface.meshing import extract_mesh
@@ -102,7 +104,8 @@ class FittedScene:
         settings = self.config.samples
         if isinstance(settings, PaperSamples):
             return draw_paper(settings, self.observation, self.space, self.rng)
-        return draw_tabletop(settings, self.observation, self.space, self.rng)
+        bodies = [None if box is None else box.depth for box in self.boxed]
+        return draw_tabletop(settings, self.observation, self.space, self.rng, bodies)
 
     @cached_property
     def map(self) -> ContraMap:
@@ -138,16 +141,37 @@ class FittedScene:
         return SeenSurface.of(self.observation, self.frame.depth, self.floors)
 
     @cached_property
+    def boxed(self) -> list[BoxedEdges | None]:
+        """The edges of each observed object that is a cuboid with known sides, else None."""
+        seen, fusion = self.seen, self.config.mesh.fusion
+        if seen is None or not fusion.cuboids:
+            return [None] * len(self.observation.objects)
+
+        def bare(places: np.ndarray) -> np.ndarray:
+            views = each_view(self.observation, self.space)
+            return np.all([beside_all_masks(*view, places) for view in views], axis=0)
+
+        def look(index: int) -> BoxedEdges | None:
+            return BoxedEdges.of(seen.edges(index), self._points(index), fusion.wall, bare)
+
+        return map_in_threads(look, range(len(self.observation.objects)))
+
+    def _points(self, index: int) -> np.ndarray:
+        """What was measured of an object (N, 3) [m]; a surface seen several times is there once."""
+        points = self.observation.objects[index].points
+        if isinstance(self.seen, JointSurface):
+            points = points[first_in_cells(points, self.seen.thinnest)]
+        return points
+
+    @cached_property
     def meshes(self) -> list[Surface | None]:
         """The surface of each observed object, None where the map gives it no volume."""
         objects = self.observation.objects
         kept = self._kept
 
         def extract(index: int) -> tuple[trimesh.Trimesh, np.ndarray] | None:
-            points = objects[index].points
-            if isinstance(self.seen, JointSurface):  # a surface seen several times is asked once
-                points = points[first_in_cells(points, self.seen.thinnest)]
-            return extract_mesh(self.field, index, self.config.mesh, points, self.seen)
+            points = self._points(index)
+            return extract_mesh(self.field, index, self.config.mesh, points, self.seen, self.boxed[index])
 
         # The largest first: no thread is to start with one when the others have ended.
         sizes = [odds.size for odds in self.field.log_odds]

@@ -32,10 +32,11 @@ from reconstruction.warm_start import Before, Surface
 STAGES = {
     "observation": "observe",
     "space": "space",
+    "seen": "seen",
+    "boxed": "cuboids",
     "samples": "samples",
     "map": "fit",
     "field": "field",
-    "seen": "seen",
     "meshes": "mesh",
 }
 """Step of the scene -> the name its time is reported under."""

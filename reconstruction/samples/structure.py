@@ -6,21 +6,23 @@ have insides. Knows nothing of samples, labels or the fit.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial import cKDTree
 
 from mapping.compiled import compiled
+from perception.beside_masks import beside_all_masks
 from perception.observation import Observation, ObservedObject
 from perception.space import Region, Space
 from perception.views.joint_space import each_view
 from reconstruction.config import TabletopSamples
 from reconstruction.prior.evidence import hidden_labels
 from reconstruction.prior.remembered import remembered
+from reconstruction.samples.bodies import Body, with_bodies
 from reconstruction.samples.obstacles import with_obstacles
 from reconstruction.samples.reach_down import may_lack_foot, reach_down
 
-BESIDE = 2
-"""Masks are known to this [px]."""
 BEFORE_GUESS = 0.7
 """Chance that the ray is free before a surface that was guessed, not measured."""
 
@@ -39,16 +41,25 @@ NOBODYS = -12.0
 
 
 def structure(
-    observation: Observation, space: Space, config: TabletopSamples, points: np.ndarray, obstacles: np.ndarray
+    observation: Observation,
+    space: Space,
+    config: TabletopSamples,
+    points: np.ndarray,
+    obstacles: np.ndarray,
+    bodies: Sequence[Body | None] = (),
 ) -> np.ndarray:
     """(N, K+1) guess of {empty, object 1..K} at points (N, 3) behind what is seen, none of them under a
-    support. With obstacles (M, 3), thinned surface points of what has no label, (N, K+2): they are last."""
+    support. With obstacles (M, 3), thinned surface points of what has no label, (N, K+2): they are last.
+
+    bodies: of the objects whose whole shape is known.
+    """
     views = each_view(observation, space)
     guess = (
         _objects(*views[0], config, points)
         if len(views) == 1
         else _all_views(observation, views, config, points)
     )
+    guess = with_bodies(guess, points, bodies)
     if space.guessed is not None:
         sight = space.look(points)
         early = (sight.pixel >= 0) & space.guessed.reshape(-1)[sight.pixel] & (sight.behind < 0)
@@ -143,28 +154,10 @@ def _objects(
                 reach_down(observation, space, int(index), points, guess)
         return guess
     guess = _shell(observation, config.shell, points)
-    beside = _beside_all_masks(observation, space, points)
+    beside = beside_all_masks(observation, space, points)
     guess[beside] = 0
     guess[beside, 0] = 1
     return guess
-
-
-def _beside_all_masks(observation: Observation, space: Space, points: np.ndarray) -> np.ndarray:
-    """Which points (N, 3) lie on rays that measured nothing, well beside the masks of all objects: (N,) bool.
-
-    Were an object there, its mask would say so, whatever the depth image lacks.
-    """
-    import cv2
-
-    bare = np.ones(observation.depth.size, np.uint8)
-    bare[np.isfinite(observation.depth.reshape(-1))] = 0
-    for item in observation.objects:
-        bare[item.silhouette] = 0
-        bare[item.pixels] = 0
-    size = 2 * BESIDE + 1
-    wide = cv2.erode(bare.reshape(observation.depth.shape), np.ones((size, size), np.uint8)).reshape(-1)
-    pixel = space.pixel_of(points)
-    return np.asarray((pixel >= 0) & (wide[pixel] > 0))
 
 
 def _shell(observation: Observation, shell: float, points: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ Knows which samples there are and which label each gets; knows nothing of the fi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from perception.observation import Observation
 from perception.space import Space
 from reconstruction.config import TabletopSamples
 from reconstruction.samples import labels
+from reconstruction.samples.bodies import Body
 from reconstruction.samples.even_noise import spread_evenly
 from reconstruction.samples.hinge_points import hinge_points
 from reconstruction.samples.obstacles import near_obstacles, obstacle_samples
@@ -37,16 +39,21 @@ Labelled = tuple[np.ndarray, np.ndarray]
 
 
 def draw_tabletop(
-    config: TabletopSamples, observation: Observation, space: Space, rng: np.random.Generator
+    config: TabletopSamples,
+    observation: Observation,
+    space: Space,
+    rng: np.random.Generator,
+    bodies: Sequence[Body | None] = (),
 ) -> TrainingSet:
     """The training set of one observation, in its table frame.
 
     Classes: 0 empty, k the k-th object, then obstacles without a label if any are near, the last "uncertain".
+    bodies: of the objects whose whole shape is known from what is seen.
     """
     drawn = [_Drawn.of(scope) for scope in Scope.all_of(observation, space, config, rng)]
     obstacles = near_obstacles(observation, config.radius)
     asked = [part.asked for part in drawn]
-    guess = structure(observation, space, config, np.concatenate(asked), obstacles)
+    guess = structure(observation, space, config, np.concatenate(asked), obstacles, bodies)
     count = guess.shape[1]
     soft: list[Labelled] = []
     fine, thin = [part.scope.seen for part in drawn], []

@@ -10,6 +10,7 @@ import numpy as np
 
 from mapping.compiled import compiled
 from reconstruction.config import FusionConfig
+from reconstruction.surface.boxed import BoxedEdges
 from reconstruction.surface.diagonals import between_diagonals
 from reconstruction.surface.field import extent
 from reconstruction.surface.joint_surface import JointEdges
@@ -36,7 +37,7 @@ def fuse(
     log_odds: np.ndarray,
     corner: np.ndarray,
     spacing: float,
-    edges: Edges | JointEdges | RevolvedEdges,
+    edges: Edges | JointEdges | RevolvedEdges | BoxedEdges,
     points: np.ndarray,
     config: FusionConfig,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -91,7 +92,7 @@ def _read(
     shape: tuple[int, ...],
     corner: np.ndarray,
     spacing: float,
-    edges: Edges | JointEdges | RevolvedEdges,
+    edges: Edges | JointEdges | RevolvedEdges | BoxedEdges,
     config: FusionConfig,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """At flat nodes (M,) of a lattice: log odds (M,) raised by what was seen, the cap, and who nobody saw."""

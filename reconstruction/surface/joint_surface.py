@@ -86,6 +86,11 @@ class JointEdges:
     floor: float | None
     thinnest: float = 0.0
 
+    @property
+    def noise(self) -> float:
+        """Standard deviation of what the noisiest view measured of the object [m]."""
+        return max(edges.noise for edges in self.views)
+
     def read(self, points: np.ndarray) -> Reading:
         """What all depth images say of points (N, 3) float32 [m]."""
         points = np.ascontiguousarray(points, np.float32)
@@ -131,6 +136,19 @@ class JointEdges:
         if self.floor is None:
             return np.full(len(height), np.float32(FAR))
         return height - np.float32(self.floor)
+
+
+def normals_of(edges: Edges | JointEdges, points: np.ndarray) -> np.ndarray:
+    """Normals (N, 3) into the object at points (N, 3) measured of it, 0 where no view shows one there."""
+    if isinstance(edges, Edges):
+        return edges.facing(points)[0]
+    normals = np.zeros_like(points)
+    least = np.full(len(points), np.inf, np.float32)
+    for view in edges.views:
+        found, behind = view.facing(points)
+        better = found.any(1) & (np.abs(behind) < least)
+        normals[better], least[better] = found[better], np.abs(behind[better])
+    return normals
 
 
 @compiled

@@ -6,6 +6,7 @@ import numpy as np
 import trimesh
 
 from reconstruction.config import MeshConfig
+from reconstruction.surface.boxed import BoxedEdges
 from reconstruction.surface.closed_solid import ClosedSolid
 from reconstruction.surface.field import Field
 from reconstruction.surface.fusion import fuse
@@ -28,11 +29,13 @@ def extract_mesh(
     config: MeshConfig,
     seen: np.ndarray | None = None,
     surface: SeenSurface | JointSurface | None = None,
+    boxed: BoxedEdges | None = None,
 ) -> tuple[trimesh.Trimesh, np.ndarray] | None:
     """Closed mesh of object `index` and p(uncertain) at its vertices (V,).
 
     In the field's frame. seen: points (N, 3) [m] on the object's surface, which the mesh is to keep.
     surface: what was measured of it, to be fused with the map; None leaves the surface to the map alone.
+    boxed: its edges where it is a cuboid.
     Returns None when the object occupies no node of its window.
     """
     window = field.windows[index]
@@ -42,10 +45,12 @@ def extract_mesh(
         floor = np.log(config.max_uncertainty / (1 - config.max_uncertainty))
         sure = floor - np.log(np.clip(uncertainty, 1e-6, 1 - 1e-6) / np.clip(1 - uncertainty, 1e-6, 1))
         log_odds = np.minimum(log_odds, sure)
-    spacing, start, edges, known = field.spacing, np.zeros(3), None, None
+    spacing, start, edges = field.spacing, np.zeros(3), None
     if surface is not None and seen is not None and min(log_odds.shape) > 1:
         edges = surface.edges(index)
-        known = config.fusion.round_bodies and RevolvedEdges.of(edges, seen, config.fusion.wall)
+        known: BoxedEdges | RevolvedEdges | None = boxed
+        if known is None and config.fusion.round_bodies:
+            known = RevolvedEdges.of(edges, seen, config.fusion.wall)
         log_odds, start = fuse(log_odds, corner, spacing, known or edges, seen, config.fusion)
         spacing /= config.fusion.refine
     elif seen is not None and config.keep_seen:

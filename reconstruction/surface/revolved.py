@@ -17,7 +17,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from reconstruction.surface.joint_surface import JointEdges
+from reconstruction.surface.joint_surface import JointEdges, normals_of
 from reconstruction.surface.reading import Reading
 from reconstruction.surface.seen_surface import Edges
 from reconstruction.surface.vertical_axis import vertical_axis
@@ -82,7 +82,7 @@ class RevolvedEdges:
         wall: the surface is so thick at least [m].
         """
         points = np.ascontiguousarray(points[:: 1 + len(points) // POINTS], np.float32)
-        normals = _normals(edges, points)
+        normals = normals_of(edges, points)
         shown = normals.any(1)
         points, normals = points[shown], normals[shown]
         axis = vertical_axis(points, normals)
@@ -150,19 +150,6 @@ class RevolvedEdges:
         rays = points - (-T[:3, :3].T @ T[:3, 3]).astype(np.float32)
         rays /= np.sqrt((rays**2).sum(1, keepdims=True))
         return points - rays * behind[:, None]
-
-
-def _normals(edges: Edges | JointEdges, points: np.ndarray) -> np.ndarray:
-    """Normals (N, 3) into the object at points (N, 3) measured of it, 0 where no view shows one there."""
-    if isinstance(edges, Edges):
-        return edges.facing(points)[0]
-    normals = np.zeros_like(points)
-    least = np.full(len(points), np.inf, np.float32)
-    for view in edges.views:
-        found, behind = view.facing(points)
-        better = found.any(1) & (np.abs(behind) < least)
-        normals[better], least[better] = found[better], np.abs(behind[better])
-    return normals
 
 
 def _around(axis: np.ndarray, radius: np.ndarray, height: np.ndarray) -> np.ndarray:

@@ -185,6 +185,11 @@ class Edges:
         part = self.seen.boxes[self.index]
         return float(np.median(self.seen.depth[part][self.seen.owner[part] == self.index]))
 
+    @property
+    def noise(self) -> float:
+        """Standard deviation of what is measured of the object [m], 0 where it is not seen."""
+        return self.seen.noise * self.usual_depth**2 if self.index >= 0 else 0.0
+
     def facing(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of what the object shows on the ray through each point: the normal (N, 3) away from the camera, 0
         where it shows nothing there, and how far the point is behind it (N,) [m], 0 there."""

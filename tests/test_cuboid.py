@@ -1,0 +1,115 @@
+"""Cuboids: which things are taken for one, how well their hidden sides are known, what becomes of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from conftest import Shape, make_tabletop
+
+from perception.observing import observe
+from reconstruction.config import FusionConfig, MeshConfig, PipelineConfig
+from reconstruction.fitted_scene import FittedScene
+from reconstruction.samples.bodies import SURE, with_bodies
+from reconstruction.scene import reconstruct
+from reconstruction.surface.boxed import BoxedEdges
+from reconstruction.surface.cuboid import Cuboid
+
+SIZE = np.array([0.06, 0.10, 0.12])
+CARTON = Shape("box", tuple(SIZE), (0.0, 0.0, 0.06), 0.4)
+BEFORE = Shape("box", (0.02, 0.3, 0.05), (-0.12, 0.0, 0.025))
+"""Hides the lower part of the carton; the camera looks along x."""
+CARRIED = Shape("box", (0.06, 0.10, 0.04), (0.0, 0.0, 0.10), 0.4)
+CARRIER = Shape("box", (0.14, 0.16, 0.08), (0.0, 0.0, 0.04), 0.4)
+SCENES = {
+    "carton": (CARTON,),
+    "carton behind something": (CARTON, BEFORE),
+    "carton on another": (CARRIED, CARRIER),
+    "can": (Shape("cylinder", (0.04, 0.12), (0.03, 0.02, 0.06)),),
+    "ball": (Shape("sphere", (0.04,), (0.0, 0.03, 0.04)),),
+    "wall": (Shape("box", (0.06, 0.9, 0.30), (0.0, 0.0, 0.15)),),
+}
+
+
+@cache
+def boxed(name: str) -> BoxedEdges | None:
+    return FittedScene.of(make_tabletop(SCENES[name]).frame, PipelineConfig()).boxed[0]
+
+
+def sides(cuboid: Cuboid) -> np.ndarray:
+    """Two level sides, the shorter one first, and the height [m]."""
+    size, upright = cuboid.high - cuboid.low, np.abs(cuboid.axes[:, 2]).argmax()
+    return np.array([*np.sort(np.delete(size, upright)), size[upright]])
+
+
+@pytest.mark.parametrize("name", ["carton", "carton behind something", "carton on another"])
+def test_all_sides_of_a_carton_are_known(name: str) -> None:
+    edges = boxed(name)
+    assert edges is not None
+    true = np.array(SCENES[name][0].size)
+    np.testing.assert_allclose(sides(edges.cuboid), true, atol=0.003)
+
+
+@pytest.mark.parametrize("name", ["can", "ball", "wall"])
+def test_round_things_and_those_with_ends_out_of_sight_are_none(name: str) -> None:
+    assert boxed(name) is None
+
+
+def test_two_faces_in_steps_are_no_cuboid() -> None:
+    stairs = (CARTON, Shape("box", (0.06, 0.10, 0.06), (-0.055, -0.023, 0.03), 0.4))
+    frame = make_tabletop(stairs).frame
+    assert frame.labels is not None
+    one = replace(frame, labels=np.minimum(frame.labels, 1))
+    assert FittedScene.of(one, PipelineConfig()).boxed == [None]
+
+
+def test_what_was_measured_is_read_as_it_was_and_the_rest_as_the_cuboid() -> None:
+    edges = boxed("carton")
+    assert edges is not None
+    observation = observe(make_tabletop((CARTON,)).frame)
+    points = observation.objects[0].points.astype(np.float32)
+    measured, said = edges.edges.read(points), edges.read(points)
+    np.testing.assert_array_equal(measured.distance, said.distance)
+    np.testing.assert_array_equal(measured.depth, said.depth)
+    behind = edges.edges.behind(points, 0.1)
+    behind = behind[edges.edges.read(behind).distance > 0.01]  # to the image it is hidden
+    beyond = edges.cuboid.depth(behind) < -0.01
+    assert np.count_nonzero(beyond) > 100
+    assert (edges.read(behind).distance[beyond] < 0).all()
+    inner = edges.cuboid.inner()
+    assert (edges.read(inner).depth == 0).all()
+
+
+def test_depth_is_the_distance_to_the_faces() -> None:
+    cuboid = Cuboid(np.eye(3), np.zeros(3), np.array([0.1, 0.2, 0.3]))
+    points = np.float32([[0.05, 0.1, 0.15], [0.02, 0.1, 0.15], [0.13, 0.24, 0.1], [0.05, 0.1, 0.35]])
+    np.testing.assert_allclose(cuboid.depth(points), [0.05, 0.02, -0.05, -0.05], atol=1e-6)
+
+
+def test_bodies_move_guesses_within_and_beyond_them() -> None:
+    guess = np.tile(np.float32([0.5, 0.3, 0.2]), (4, 1))
+    depth = np.array([0.01, -0.01, np.nan, 0.002])
+    told = with_bodies(guess, np.zeros((4, 3), np.float32), [lambda points: depth, None])
+    np.testing.assert_allclose(told.sum(1), 1, rtol=1e-6)
+    assert told[0, 1] > SURE
+    np.testing.assert_allclose(told[1], [0.5 + 0.3 * SURE, 0.3 * (1 - SURE), 0.2], rtol=1e-6)
+    np.testing.assert_array_equal(told[2], guess[2])  # it says nothing there
+    assert guess[3, 1] < told[3, 1] < told[0, 1]  # near its surface it is less sure
+    np.testing.assert_array_equal(guess, np.tile(np.float32([0.5, 0.3, 0.2]), (4, 1)))
+
+
+def test_the_hidden_sides_of_a_carton_become_flat() -> None:
+    table = make_tabletop((CARTON,))
+    off = {}
+    for cuboids in (False, True):
+        config = PipelineConfig(mesh=MeshConfig(fusion=FusionConfig(cuboids=cuboids)))
+        mesh = reconstruct(table.frame, config).objects[0].mesh
+        assert mesh.is_watertight
+        at = np.asarray(mesh.vertices)
+        turn = np.array([[np.cos(0.4), np.sin(0.4), 0], [-np.sin(0.4), np.cos(0.4), 0], [0, 0, 1]])
+        local = np.abs(at @ turn.T - [0, 0, 0.06]) - SIZE / 2
+        off[cuboids] = np.quantile(np.abs(local.max(1)), 0.95)
+    assert off[True] < 0.003
+    assert off[True] < off[False]
