@@ -151,7 +151,7 @@ class FusionConfig(Checked):
     wall: Length = 0.004
     """What was seen is at least this thick, unless free space shows it to be thinner [m]."""
     round_bodies: bool = True
-    """What is seen of cups, bowls, cans and balls is turned about their vertical axis where it is hidden."""
+    """What is seen of cups, bowls, cans and balls is turned about their axis where it is hidden."""
     cuboids: bool = True
     """Cartons and books of which enough is seen to know all of their sides have these where they are
     hidden."""

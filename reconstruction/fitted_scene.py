@@ -30,13 +30,13 @@ from reconstruction.config import PaperSamples, PipelineConfig
 from reconstruction.samples.paper import draw_paper
 from reconstruction.samples.tabletop import draw_tabletop
 from reconstruction.samples.training_set import TrainingSet
-from reconstruction.surface.boxed import BoxedEdges
 from reconstruction.surface.field import Field, evaluate_field
 from reconstruction.surface.joint_surface import JointSurface
 from reconstruction.surface.meshing import extract_mesh
 from reconstruction.surface.refined import values_at
 from reconstruction.surface.seen_surface import SeenSurface
 from reconstruction.surface.unchanged import unchanged
+from reconstruction.surface.whole_shape import WholeShape, whole_shape
 from reconstruction.warm_start import Before, Surface
 
 OTHER_MARGIN = 0.03
@@ -104,7 +104,7 @@ class FittedScene:
         settings = self.config.samples
         if isinstance(settings, PaperSamples):
             return draw_paper(settings, self.observation, self.space, self.rng)
-        bodies = [None if box is None else box.depth for box in self.boxed]
+        bodies = [None if shape is None else shape.depth_known for shape in self.shapes]
         return draw_tabletop(settings, self.observation, self.space, self.rng, bodies)
 
     @cached_property
@@ -141,18 +141,18 @@ class FittedScene:
         return SeenSurface.of(self.observation, self.frame.depth, self.floors)
 
     @cached_property
-    def boxed(self) -> list[BoxedEdges | None]:
-        """The edges of each observed object that is a cuboid with known sides, else None."""
+    def shapes(self) -> list[WholeShape | None]:
+        """The edges of each observed object whose hidden sides follow from the seen ones, else None."""
         seen, fusion = self.seen, self.config.mesh.fusion
-        if seen is None or not fusion.cuboids:
+        if seen is None:
             return [None] * len(self.observation.objects)
 
         def bare(places: np.ndarray) -> np.ndarray:
             views = each_view(self.observation, self.space)
             return np.all([beside_all_masks(*view, places) for view in views], axis=0)
 
-        def look(index: int) -> BoxedEdges | None:
-            return BoxedEdges.of(seen.edges(index), self._points(index), fusion.wall, bare)
+        def look(index: int) -> WholeShape | None:
+            return whole_shape(seen.edges(index), self._points(index), fusion, bare)
 
         return map_in_threads(look, range(len(self.observation.objects)))
 
@@ -171,7 +171,7 @@ class FittedScene:
 
         def extract(index: int) -> tuple[trimesh.Trimesh, np.ndarray] | None:
             points = self._points(index)
-            return extract_mesh(self.field, index, self.config.mesh, points, self.seen, self.boxed[index])
+            return extract_mesh(self.field, index, self.config.mesh, points, self.seen, self.shapes[index])
 
         # The largest first: no thread is to start with one when the others have ended.
         sizes = [odds.size for odds in self.field.log_odds]

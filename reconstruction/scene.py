@@ -33,7 +33,7 @@ STAGES = {
     "observation": "observe",
     "space": "space",
     "seen": "seen",
-    "boxed": "cuboids",
+    "shapes": "shapes",
     "samples": "samples",
     "map": "fit",
     "field": "field",

@@ -74,6 +74,9 @@ def shape_mesh(shape: Shape):
         mesh = o3d.geometry.TriangleMesh.create_sphere(shape.size[0], 30)
     elif shape.kind == "cylinder":
         mesh = o3d.geometry.TriangleMesh.create_cylinder(shape.size[0], shape.size[1], 40)
+    elif shape.kind == "lying cylinder":  # along x
+        mesh = o3d.geometry.TriangleMesh.create_cylinder(shape.size[0], shape.size[1], 40)
+        mesh.rotate(mesh.get_rotation_matrix_from_axis_angle([0.0, np.pi / 2, 0.0]), center=(0, 0, 0))
     else:
         raise ValueError(shape.kind)
     turn = mesh.get_rotation_matrix_from_axis_angle([0.0, 0.0, shape.yaw])

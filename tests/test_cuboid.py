@@ -35,7 +35,8 @@ SCENES = {
 
 @cache
 def boxed(name: str) -> BoxedEdges | None:
-    return FittedScene.of(make_tabletop(SCENES[name]).frame, PipelineConfig()).boxed[0]
+    shape = FittedScene.of(make_tabletop(SCENES[name]).frame, PipelineConfig()).shapes[0]
+    return shape if isinstance(shape, BoxedEdges) else None
 
 
 def sides(cuboid: Cuboid) -> np.ndarray:
@@ -62,7 +63,7 @@ def test_two_faces_in_steps_are_no_cuboid() -> None:
     frame = make_tabletop(stairs).frame
     assert frame.labels is not None
     one = replace(frame, labels=np.minimum(frame.labels, 1))
-    assert FittedScene.of(one, PipelineConfig()).boxed == [None]
+    assert FittedScene.of(one, PipelineConfig()).shapes == [None]
 
 
 def test_what_was_measured_is_read_as_it_was_and_the_rest_as_the_cuboid() -> None:

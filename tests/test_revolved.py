@@ -12,11 +12,14 @@ from conftest import Shape, make_tabletop
 from perception.observing import observe
 from reconstruction.surface.revolved import RevolvedEdges
 from reconstruction.surface.seen_surface import SeenSurface
+from reconstruction.surface.slanted_axis import slanted_axis
 from reconstruction.surface.vertical_axis import vertical_axis
 
 CAN = Shape("cylinder", (0.04, 0.12), (0.03, 0.02, 0.06))
+LYING = Shape("lying cylinder", (0.035, 0.11), (0.0, 0.0, 0.035), 0.5)
 SOLIDS = {
     "can": CAN,
+    "lying can": LYING,
     "ball": Shape("sphere", (0.04,), (0.0, 0.03, 0.04)),
     "carton": Shape("box", (0.06, 0.10, 0.12), (0.0, 0.0, 0.06), 0.3),
     "carton from its corner": Shape("box", (0.08, 0.08, 0.12), (0.0, 0.0, 0.06), 0.8),
@@ -60,6 +63,32 @@ def test_inner_and_outer_walls_share_the_axis() -> None:
     assert np.abs(axis - AXIS).max() < 0.001
 
 
+@pytest.mark.parametrize("slope", [0.0, 0.4])
+def test_the_axis_of_a_lying_tube_or_cone_is_found(slope: float) -> None:
+    rng = np.random.default_rng(4)
+    angle, along = rng.uniform(-1.3, 1.3, 800), rng.uniform(0, 0.12, 800)
+    radius = 0.03 + slope * along + 0.0005 * rng.normal(size=800)
+    outward = np.stack([np.cos(angle), np.sin(angle), np.full(800, -slope)], 1)
+    upright = np.stack([radius * np.cos(angle), radius * np.sin(angle), along], 1)
+    direction = np.array([0.8, -0.5, 0.33])
+    direction /= np.linalg.norm(direction)
+    aside = np.cross(direction, [0.0, 0.0, 1.0])
+    aside /= np.linalg.norm(aside)
+    turn = np.stack([aside, np.cross(direction, aside), direction])
+    start = np.array([0.2, 0.3, 0.05])
+    points, normals = upright @ turn + start, -outward @ turn / np.hypot(1, slope)
+    handle = start + rng.uniform(0.05, 0.07, (60, 3))
+    found = slanted_axis(
+        np.concatenate([points, handle]).astype(np.float32),
+        np.concatenate([normals, np.tile([1.0, 0, 0], (60, 1))]).astype(np.float32),
+    )
+    assert found is not None
+    turned, axis = found
+    assert abs(turned[2] @ direction) > np.cos(np.deg2rad(1.5))
+    middle = turned @ (start + 0.06 * direction)
+    np.testing.assert_allclose(axis, middle[:2], atol=0.001)
+
+
 def test_flat_and_few_points_have_no_axis() -> None:
     rng = np.random.default_rng(3)
     flat = np.stack([np.zeros(500), rng.uniform(-0.05, 0.05, 500), rng.uniform(0, 0.1, 500)], 1)
@@ -79,7 +108,7 @@ def revolved(name: str) -> RevolvedEdges | None:
 
 @pytest.mark.parametrize("name", SOLIDS)
 def test_round_things_are_told_from_cartons(name: str) -> None:
-    assert (revolved(name) is not None) == (name in ("can", "ball"))
+    assert (revolved(name) is not None) == (name in ("can", "lying can", "ball"))
 
 
 def ring(edges: RevolvedEdges, radius: float, angle: np.ndarray) -> np.ndarray:
@@ -96,6 +125,21 @@ def test_the_hidden_side_of_a_can_lies_where_its_circle_does() -> None:
         np.testing.assert_allclose(depth, -offset, atol=0.001)
     assert (edges.depth_of(ring(edges, 0.052, angle)) < 0).all()
     assert edges.depth_of(np.float32([[*edges.axis, 0.06]]))[0] > 0.01  # nobody knows the inside
+
+
+def test_the_underside_of_a_lying_can_is_known() -> None:
+    edges = revolved("lying can")
+    assert edges is not None
+    assert abs(edges.turn[2] @ [np.cos(0.5), np.sin(0.5), 0]) > np.cos(np.deg2rad(3))
+    angle, along = np.meshgrid(np.linspace(0, 2 * np.pi, 60, endpoint=False), np.linspace(-0.04, 0.04, 9))
+    local = np.stack([along, 0.035 * np.cos(angle), 0.035 * np.sin(angle)], -1).reshape(-1, 3)
+    turn = np.array([[np.cos(0.5), -np.sin(0.5), 0], [np.sin(0.5), np.cos(0.5), 0], [0, 0, 1]])
+    table = make_tabletop((LYING,))
+    T = observe(table.frame).T_table_camera @ np.linalg.inv(table.frame.camera.T_world_camera)
+    points = ((local @ turn.T + LYING.position) @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
+    assert np.quantile(np.abs(edges.depth_of(points)), 0.9) < 0.002
+    known = edges.depth_known(points + np.float32([0, 0, -0.004]))
+    assert (known[points[:, 2] < 0.005] < 0).all()  # under the can nothing is of it
 
 
 def test_what_was_measured_is_read_as_it_was() -> None:

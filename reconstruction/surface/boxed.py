@@ -73,7 +73,7 @@ class BoxedEdges:
         reading = self.edges.read(points)
         hidden = (reading.distance > 0) & (reading.depth > self.wall) & (reading.others > self.wall)
         rows = np.flatnonzero(hidden)
-        deep = self.depth(points[rows])
+        deep = self.depth_known(points[rows])
         known = np.isfinite(deep)
         rows, deep = rows[known], deep[known]
         reading.distance[rows] = np.minimum(reading.distance[rows], deep)
@@ -81,7 +81,7 @@ class BoxedEdges:
         reading.depth[rows] = np.where(deep >= 0, 0, reading.depth[rows])
         return reading
 
-    def depth(self, points: np.ndarray) -> np.ndarray:
+    def depth_known(self, points: np.ndarray) -> np.ndarray:
         """How deep points (N, 3) lie in the cuboid (N,) float32 [m], negative outside, there NaN near what
         is off its faces."""
         deep = self.cuboid.depth(points)

@@ -10,15 +10,14 @@ import numpy as np
 
 from mapping.compiled import compiled
 from reconstruction.config import FusionConfig
-from reconstruction.surface.boxed import BoxedEdges
 from reconstruction.surface.diagonals import between_diagonals
 from reconstruction.surface.field import extent
 from reconstruction.surface.joint_surface import JointEdges
 from reconstruction.surface.neighbours import beside, closed, range_in_cells
 from reconstruction.surface.refined import interpolated, nodes_of_cells, spread
-from reconstruction.surface.revolved import RevolvedEdges
 from reconstruction.surface.seen_cells import cells_with, nodes_of_seen_cells
 from reconstruction.surface.seen_surface import Edges
+from reconstruction.surface.whole_shape import WholeShape
 
 PER_METRE = 1000.0
 """Log odds a metre of distance."""
@@ -37,7 +36,7 @@ def fuse(
     log_odds: np.ndarray,
     corner: np.ndarray,
     spacing: float,
-    edges: Edges | JointEdges | RevolvedEdges | BoxedEdges,
+    edges: Edges | JointEdges | WholeShape,
     points: np.ndarray,
     config: FusionConfig,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -92,7 +91,7 @@ def _read(
     shape: tuple[int, ...],
     corner: np.ndarray,
     spacing: float,
-    edges: Edges | JointEdges | RevolvedEdges | BoxedEdges,
+    edges: Edges | JointEdges | WholeShape,
     config: FusionConfig,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """At flat nodes (M,) of a lattice: log odds (M,) raised by what was seen, the cap, and who nobody saw."""

@@ -6,16 +6,15 @@ import numpy as np
 import trimesh
 
 from reconstruction.config import MeshConfig
-from reconstruction.surface.boxed import BoxedEdges
 from reconstruction.surface.closed_solid import ClosedSolid
 from reconstruction.surface.field import Field
 from reconstruction.surface.fusion import fuse
 from reconstruction.surface.joint_surface import JointSurface
 from reconstruction.surface.refined import values_at
-from reconstruction.surface.revolved import RevolvedEdges
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
 from reconstruction.surface.seen_surface import SeenSurface
 from reconstruction.surface.unseen_walls import with_unseen_walls
+from reconstruction.surface.whole_shape import WholeShape
 
 RULED_OUT = -4.0
 """Where its log odds are below this, the map is sure that a node is not of the object, seen cell or not."""
@@ -29,13 +28,13 @@ def extract_mesh(
     config: MeshConfig,
     seen: np.ndarray | None = None,
     surface: SeenSurface | JointSurface | None = None,
-    boxed: BoxedEdges | None = None,
+    shape: WholeShape | None = None,
 ) -> tuple[trimesh.Trimesh, np.ndarray] | None:
     """Closed mesh of object `index` and p(uncertain) at its vertices (V,).
 
     In the field's frame. seen: points (N, 3) [m] on the object's surface, which the mesh is to keep.
     surface: what was measured of it, to be fused with the map; None leaves the surface to the map alone.
-    boxed: its edges where it is a cuboid.
+    shape: the same with the sides that are hidden, where these are known.
     Returns None when the object occupies no node of its window.
     """
     window = field.windows[index]
@@ -48,10 +47,7 @@ def extract_mesh(
     spacing, start, edges = field.spacing, np.zeros(3), None
     if surface is not None and seen is not None and min(log_odds.shape) > 1:
         edges = surface.edges(index)
-        known: BoxedEdges | RevolvedEdges | None = boxed
-        if known is None and config.fusion.round_bodies:
-            known = RevolvedEdges.of(edges, seen, config.fusion.wall)
-        log_odds, start = fuse(log_odds, corner, spacing, known or edges, seen, config.fusion)
+        log_odds, start = fuse(log_odds, corner, spacing, shape or edges, seen, config.fusion)
         spacing /= config.fusion.refine
     elif seen is not None and config.keep_seen:
         log_odds = log_odds.copy()

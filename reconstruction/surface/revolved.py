@@ -1,16 +1,17 @@
 """What is seen of a body of revolution, turned about its axis: a bowl's hidden side is like the one in view.
 
-Cups, bowls, cans, bottles and balls are round, and half of each is hidden. Where circles about one vertical
-axis go through what was measured, and no ray passed through these circles elsewhere, the circles are taken to
-be its surface all round, and what rays passed at one place to be empty all round. A handle is off the circles
-and stays as it was seen.
+Cups, bowls, cans, bottles and balls are round, and half of each is hidden. Where circles about one axis go
+through what was measured, and no ray passed through these circles elsewhere, the circles are taken to be its
+surface all round, and what rays passed at one place to be empty all round. A handle is off the circles and
+stays as it was seen.
 
 Knows one object's measured points and readings of its depth image; knows nothing of maps, lattices or meshes.
-Points are in the table frame: its z axis is vertical.
+Points are in the table frame, its z axis vertical; turned, the axis of revolution is.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,7 @@ from scipy.spatial import cKDTree
 from reconstruction.surface.joint_surface import JointEdges, normals_of
 from reconstruction.surface.reading import Reading
 from reconstruction.surface.seen_surface import Edges
+from reconstruction.surface.slanted_axis import slanted_axis
 from reconstruction.surface.vertical_axis import vertical_axis
 
 POINTS = 1500
@@ -57,18 +59,23 @@ SLIT = 3
 HANDLE = 0.015
 """What is seen off the circles may be this thick [m]."""
 
+Read = Callable[[np.ndarray], Reading]
+"""read(places (..., 3) float32, turned [m]): what was measured says of them."""
+
 
 @dataclass(frozen=True)
 class RevolvedEdges:
     """The edges of a body of revolution: they say more of what is hidden.
 
-    edges: what was measured; axis: (2,) where the axis stands [m]; height: of the table's first row [m];
+    edges: what was measured; turn: (3, 3) float32, rotates points so that the axis is upright; axis: (2,)
+    where it then stands [m]; height: of the table's first row [m];
     depth: (R, Z) float32, how far places at each radius and height lie behind the surface [m], negative where
     it is empty, UNKNOWN or so where nothing is known; circles: (M, 3) points of the surface all round; wall:
     what is measured is at least so thick [m].
     """
 
     edges: Edges | JointEdges
+    turn: np.ndarray
     axis: np.ndarray
     height: float
     depth: np.ndarray
@@ -85,13 +92,34 @@ class RevolvedEdges:
         normals = normals_of(edges, points)
         shown = normals.any(1)
         points, normals = points[shown], normals[shown]
-        axis = vertical_axis(points, normals)
-        if axis is None:
-            return None
+        upright = vertical_axis(points, normals)
+        found = upright is not None and cls._about(np.eye(3), upright, edges, points, normals, wall)
+        if found:
+            return found
+        slanted = slanted_axis(points, normals)
+        return None if slanted is None else cls._about(*slanted, edges, points, normals, wall)
+
+    @classmethod
+    def _about(
+        cls,
+        turn: np.ndarray,
+        axis: np.ndarray,
+        edges: Edges | JointEdges,
+        points: np.ndarray,
+        normals: np.ndarray,
+        wall: float,
+    ) -> RevolvedEdges | None:
+        """The body about one axis; None where points (N, 3) with normals (N, 3) are not of one."""
+        turn = turn.astype(np.float32)
+        points, normals = points @ turn.T, normals @ turn.T
+
+        def read(places: np.ndarray) -> Reading:
+            return edges.read(places.reshape(-1, 3) @ turn)
+
         offset = points[:, :2] - axis
         radius = np.hypot(*offset.T)
         turned = _around(axis, radius, points[:, 2])
-        own = _passed(edges, turned, radius) <= PASSED_SHARE
+        own = _passed(read, turned, radius) <= PASSED_SHARE
         arc = np.unique((np.arctan2(*offset[own].T) * (ANGLES / 2 / np.pi)).astype(int))
         if own.mean() < ROUND_SHARE or len(arc) < LEAST_ARC * ANGLES:
             return None
@@ -102,9 +130,9 @@ class RevolvedEdges:
         shape = np.ceil(
             np.array([radius.max() + BEYOND, points[:, 2].max() + BEYOND - low]) / (CELL * COARSE)
         )
-        empty = _empty(edges, axis, low, shape.astype(int))
+        empty = _empty(read, axis, low, shape.astype(int))
         depth = _depths(profile, inwards, low, empty)
-        return cls(edges, axis, low, depth, turned[own].reshape(-1, 3), wall)
+        return cls(edges, turn, axis, low, depth, turned[own].reshape(-1, 3) @ turn, wall)
 
     def read(self, points: np.ndarray) -> Reading:
         """What the depth image says of points (N, 3) float32 [m], or the circles where it says nothing."""
@@ -128,6 +156,16 @@ class RevolvedEdges:
         reading.depth[rows] = np.where(depth >= 0, np.minimum(behind, depth), behind)
         return reading
 
+    def depth_known(self, points: np.ndarray) -> np.ndarray:
+        """How deep points (N, 3) lie in the body (N,) float32 [m], negative outside; NaN where that is not
+        known, and close behind what is seen before the body: a handle."""
+        depth = self.depth_of(points)
+        depth[depth >= NEAR] = np.nan
+        beyond = np.flatnonzero(depth < 0)
+        handle = self.edges.read(points[beyond]).depth < HANDLE
+        depth[beyond[handle]] = np.nan
+        return depth
+
     def behind(self, points: np.ndarray, distance: float) -> np.ndarray:
         """Points (M, 3) that the object reaches to: its circles, and points (N, 3) moved by `distance` [m]
         away from the camera."""
@@ -139,6 +177,7 @@ class RevolvedEdges:
 
     def depth_of(self, points: np.ndarray) -> np.ndarray:
         """How deep points (N, 3) lie in the body (N,) float32 [m], as in the table."""
+        points = points @ self.turn.T
         radius = np.hypot(points[:, 0] - np.float32(self.axis[0]), points[:, 1] - np.float32(self.axis[1]))
         places = np.stack([radius, points[:, 2] - np.float32(self.height)]) / np.float32(CELL)
         return ndimage.map_coordinates(self.depth, places, order=1, cval=float(UNKNOWN))
@@ -162,17 +201,17 @@ def _around(axis: np.ndarray, radius: np.ndarray, height: np.ndarray) -> np.ndar
     return points
 
 
-def _passed(edges: Edges | JointEdges, around: np.ndarray, radius: np.ndarray) -> np.ndarray:
+def _passed(read: Read, around: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """Share (N,) of places (N, ANGLES, 3) on circles of a radius (N,) [m] that rays passed through."""
-    before = -edges.read(around.reshape(-1, 3)).distance.reshape(around.shape[:2])
+    before = -read(around).distance.reshape(around.shape[:2])
     return (before > np.maximum(PASSED, PASSED_BY * radius)[:, None]).mean(1)
 
 
-def _empty(edges: Edges | JointEdges, axis: np.ndarray, low: float, shape: np.ndarray) -> np.ndarray:
+def _empty(read: Read, axis: np.ndarray, low: float, shape: np.ndarray) -> np.ndarray:
     """Cells (R, Z) of the half plane, from a height on, that are empty all round; shape: of coarse cells."""
     radius, height = ((np.arange(n) + 0.5) * COARSE * CELL for n in shape)
     places = np.stack(np.meshgrid(radius, low + height, indexing="ij"), -1).reshape(-1, 2)
-    passed = _passed(edges, _around(axis, *places.T), places[:, 0]) > PASSED_SHARE
+    passed = _passed(read, _around(axis, *places.T), places[:, 0]) > PASSED_SHARE
     return passed.reshape(shape).repeat(COARSE, 0).repeat(COARSE, 1)
 
 

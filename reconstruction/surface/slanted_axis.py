@@ -1,0 +1,57 @@
+"""The axis of a body of revolution that lies or leans, from points of its surface and their normals.
+
+Knows points only. The line through a point along its normal meets the axis: linear in the axis' Pluecker
+coordinates (Pottmann and Randrup 1998), whatever its direction.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from reconstruction.surface.vertical_axis import vertical_axis
+
+ROUNDS = 6
+"""Each round trusts less what the last one left far off: handles, labels."""
+LEAST = 1e-6
+"""Keeps the moment finite where nothing says how far along the axis it is: a cylinder's slides."""
+
+
+def slanted_axis(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """A rotation (3, 3) that puts the axis upright, and where (2,) [m] it then meets the plane z = 0.
+
+    None where points (N, 3) [m] with unit normals (N, 3) into the body are not of a body of revolution. The
+    end of the axis that more of the normals face away from is up: what is seen of it is its upper side.
+    """
+    middle = points.mean(0, dtype=np.float64)
+    place = points - middle
+    size = float(np.sqrt((place**2).sum(1).mean()))
+    direction = _direction(place / max(size, 1e-6), normals.astype(np.float64))
+    if normals.mean(0) @ direction > 0:
+        direction = -direction
+    turn = _upright(direction)
+    axis = vertical_axis((points @ turn.T).astype(np.float32), (normals @ turn.T).astype(np.float32))
+    return None if axis is None else (turn, axis)
+
+
+def _direction(place: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """The unit direction (3,) of the axis that most of the lines through places (N, 3) along normals (N, 3)
+    come near to."""
+    rows = np.concatenate([np.cross(normals, place), -normals], 1)
+    weight = np.ones(len(rows))
+    direction = np.zeros(3)
+    for _ in range(ROUNDS):
+        squares = (rows * weight[:, None]).T @ rows
+        moments = squares[3:, 3:] + LEAST * weight.sum() * np.eye(3)
+        moment_of = -np.linalg.solve(moments, squares[3:, :3])
+        directions = squares[:3, :3] + squares[:3, 3:] @ moment_of
+        direction = np.linalg.eigh((directions + directions.T) / 2)[1][:, 0]
+        missed = np.abs(rows @ np.concatenate([direction, moment_of @ direction]))
+        weight = 1 / (1 + (missed / max(float(np.median(missed)), 1e-4)) ** 2)
+    return direction
+
+
+def _upright(direction: np.ndarray) -> np.ndarray:
+    """A rotation (3, 3) that turns a unit direction (3,) into z."""
+    aside = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
+    aside /= np.linalg.norm(aside)
+    return np.stack([aside, np.cross(direction, aside), direction])
