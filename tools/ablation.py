@@ -27,6 +27,7 @@ HINGES = {
 SURFACES = {
     "fused at 2.5 mm, unseen walls": "",
     "without round bodies": "mesh.fusion.round_bodies=false",
+    "without cuboids": "mesh.fusion.cuboids=false",
     "without unseen walls": "mesh.fusion.unseen_walls=false",
     "fused at 5 mm": "mesh.fusion.refine=1",
     "of the map alone": "mesh.fusion.enabled=false",

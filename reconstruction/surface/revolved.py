@@ -24,7 +24,7 @@ from reconstruction.surface.seen_surface import Edges
 from reconstruction.surface.slanted_axis import slanted_axis
 from reconstruction.surface.vertical_axis import vertical_axis
 
-POINTS = 1500
+POINTS = 1000
 """About as many measured points are looked at."""
 ANGLES = 24
 """Places around the axis at which rays are asked."""
@@ -241,13 +241,16 @@ def _depth_behind(
     if not len(profile):
         return np.full(beyond.shape, -np.inf)
     count = min(NEIGHBOURS, len(profile))
-    found, nearest = cKDTree(profile).query(places, count, distance_upper_bound=2 * NEAR)
-    found, nearest = found.reshape(*beyond.shape, count), nearest.reshape(*beyond.shape, count)
+    tree, behind = cKDTree(profile), np.full(beyond.shape, -np.inf)
+    near = np.isfinite(tree.query(places, distance_upper_bound=2 * NEAR)[0])
+    places, beyond = places[near], beyond[near]
+    found, nearest = tree.query(places, count, distance_upper_bound=2 * NEAR)
+    found, nearest = found.reshape(-1, count), nearest.reshape(-1, count)
     within = np.isfinite(found)
     nearest = np.where(within, nearest, 0)
-    deep = ((places[:, :, None] - profile[nearest]) * inwards[nearest]).sum(-1)
+    deep = ((places[:, None] - profile[nearest]) * inwards[nearest]).sum(-1)
     depth = np.where(within, deep, 0).sum(-1) / np.maximum(within.sum(-1), 1)
-    one = found[..., 0]
-    aside = np.sqrt(np.maximum(one**2 - depth**2, 0))
-    known = np.isfinite(one) & (aside < beyond) & (np.abs(depth) < NEAR)
-    return np.where(known, depth, -np.inf)
+    aside = np.sqrt(np.maximum(found[:, 0] ** 2 - depth**2, 0))
+    known = (aside < beyond) & (np.abs(depth) < NEAR)
+    behind[near] = np.where(known, depth, -np.inf)
+    return behind

@@ -10,6 +10,8 @@ import numpy as np
 
 from reconstruction.surface.vertical_axis import vertical_axis
 
+FEW = 500
+"""About as many points say which way the axis runs."""
 ROUNDS = 6
 """Each round trusts less what the last one left far off: handles, labels."""
 LEAST = 1e-6
@@ -25,7 +27,8 @@ def slanted_axis(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, n
     middle = points.mean(0, dtype=np.float64)
     place = points - middle
     size = float(np.sqrt((place**2).sum(1).mean()))
-    direction = _direction(place / max(size, 1e-6), normals.astype(np.float64))
+    few = slice(None, None, 1 + len(points) // FEW)
+    direction = _direction(place[few] / max(size, 1e-6), normals[few].astype(np.float64))
     if normals.mean(0) @ direction > 0:
         direction = -direction
     turn = _upright(direction)
