@@ -16,6 +16,7 @@ from reconstruction.samples.bodies import SURE, with_bodies
 from reconstruction.scene import reconstruct
 from reconstruction.surface.boxed import BoxedEdges
 from reconstruction.surface.cuboid import Cuboid
+from reconstruction.surface.revolved import RevolvedEdges
 
 SIZE = np.array([0.06, 0.10, 0.12])
 CARTON = Shape("box", tuple(SIZE), (0.0, 0.0, 0.06), 0.4)
@@ -58,6 +59,13 @@ def test_round_things_and_those_with_ends_out_of_sight_are_none(name: str) -> No
     assert boxed(name) is None
 
 
+@pytest.mark.parametrize("lies", [False, True])
+def test_noise_makes_no_cuboid_of_a_can(lies: bool) -> None:
+    can = Shape("lying cylinder", (0.035, 0.11), (0.0, 0.0, 0.035), 0.3) if lies else SCENES["can"][0]
+    scene = FittedScene.of(make_tabletop((can,), noise=0.002).frame, PipelineConfig())
+    assert isinstance(scene.shapes[0], RevolvedEdges)
+
+
 def test_two_faces_in_steps_are_no_cuboid() -> None:
     stairs = (CARTON, Shape("box", (0.06, 0.10, 0.06), (-0.055, -0.023, 0.03), 0.4))
     frame = make_tabletop(stairs).frame
@@ -79,7 +87,7 @@ def test_what_was_measured_is_read_as_it_was_and_the_rest_as_the_cuboid() -> Non
     beyond = edges.cuboid.depth(behind) < -0.01
     assert np.count_nonzero(beyond) > 100
     assert (edges.read(behind).distance[beyond] < 0).all()
-    inner = edges.cuboid.inner()
+    inner = edges.cuboid.inner(0.005)
     assert (edges.read(inner).depth == 0).all()
 
 

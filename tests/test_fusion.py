@@ -144,7 +144,7 @@ def test_without_fusion_the_surface_is_the_map_s() -> None:
     frame = make_tabletop(size=(240, 180)).frame
     config = preset("tabletop", mesh={"fusion": {"enabled": False}})
     plain = reconstruct(frame, config)
-    fused = reconstructed_tabletop()
+    fused = reconstruct(frame, preset("tabletop", mesh={"fusion": {"cuboids": False, "round_bodies": False}}))
     assert np.array_equal(plain.map.W, fused.map.W)
     assert len(plain.objects[0].mesh.faces) < 0.5 * len(fused.objects[0].mesh.faces)
     assert not preset("paper").mesh.fusion.enabled

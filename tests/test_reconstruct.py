@@ -131,7 +131,8 @@ def test_query_finds_nothing_inside_the_table(result):
     assert (query.gradient == 0).all()
 
 
-def test_vertices_lie_where_the_map_is_undecided(result):
+def test_vertices_lie_where_the_map_is_undecided(frame):
+    result = reconstruct(frame, preset("tabletop", mesh={"fusion": {"enabled": False}}))
     item = result.objects[0]
     local = transform(np.linalg.inv(result.T_world_table), np.asarray(item.mesh.vertices)[::50])
     p = result.map.predict_proba(local)[:, :-1]

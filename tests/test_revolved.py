@@ -103,7 +103,9 @@ def test_flat_and_few_points_have_no_axis() -> None:
 def revolved(name: str) -> RevolvedEdges | None:
     observation = observe(make_tabletop((SOLIDS[name],)).frame)
     edges = SeenSurface.of(observation, floors=[-0.0015]).edges(0)
-    return RevolvedEdges.of(edges, observation.objects[0].points, 0.004)
+    points = observation.objects[0].points
+    upright = RevolvedEdges.of(edges, points, 0.004, upright=True)
+    return upright or RevolvedEdges.of(edges, points, 0.004, upright=False)
 
 
 @pytest.mark.parametrize("name", SOLIDS)
@@ -160,7 +162,7 @@ def test_what_lies_close_behind_a_handle_stays() -> None:
     observation = observe(replace(frame, labels=np.minimum(frame.labels, 1)))
     edges = SeenSurface.of(observation, floors=[-0.0015]).edges(0)
     item = observation.objects[0]
-    both = RevolvedEdges.of(edges, item.points, 0.004)
+    both = RevolvedEdges.of(edges, item.points, 0.004, upright=True)
     assert both is not None
     of_handle = item.points[handle.reshape(-1)[item.pixels]].astype(np.float32)
     of_handle = of_handle[np.hypot(*(of_handle[:, :2] - both.axis).T) > 0.052]

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-GRID, WITHIN = 6, 0.15
-"""The inner places of a cuboid: so many along each side, none within this share of it of an end."""
+GRID = 7
+"""Inner places along each side."""
+MOST = 0.3
+"""They are no farther than this share of a side from its ends."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +37,10 @@ class Cuboid:
             places.append(np.stack(np.meshgrid(*ends, indexing="ij"), -1).reshape(-1, 3))
         return (np.concatenate(places) @ self.axes).astype(np.float32)
 
-    def inner(self) -> np.ndarray:
-        """Places (GRID^3, 3) float32 well within it [m]."""
-        share = WITHIN + (1 - 2 * WITHIN) * (np.arange(GRID) + 0.5) / GRID
+    def inner(self, margin: float) -> np.ndarray:
+        """Places (GRID^3, 3) float32 within it, `margin` [m] from its faces, less where it is thin."""
+        sides = self.high - self.low
+        inset = np.minimum(margin, MOST * sides)
+        share = np.linspace(0, 1, GRID)
         shares = np.stack(np.meshgrid(share, share, share, indexing="ij"), -1).reshape(-1, 3)
-        return ((self.low + shares * (self.high - self.low)) @ self.axes).astype(np.float32)
+        return ((self.low + inset + shares * (sides - 2 * inset)) @ self.axes).astype(np.float32)

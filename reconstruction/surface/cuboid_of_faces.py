@@ -28,9 +28,9 @@ NARROW = 0.003
 """Points that spread less than this [m] say nothing of a plane; their normals do."""
 FACE_SHARE = 0.03
 """A face holds at least this share of the points."""
-FACES_SHARE = 0.5
+FACES_SHARE = 0.55
 """At least this share of the normals lies along the faces': where two faces meet they are in between, and a
-sensor's noise bends them. Where points lie is the stricter test."""
+sensor's noise bends them."""
 FLAT, FLAT_SHARE, NOISES = 0.0015, 0.01, 4.0
 """Half of a face's points are no farther than this from its plane [m], or than this share of the longest
 side, and these standard deviations of noise."""
@@ -60,8 +60,11 @@ HIDDEN = np.inf
 """Stands for an end that something else hides."""
 UPRIGHT = 0.985
 """A side that looks down within the angle of this cosine stands on the floor (10 degrees)."""
-EMPTY_SHARE = 0.02
-"""No more than this share of the places within it may be empty."""
+INSET, INSET_SHARE = 0.004, 0.025
+"""Places within it are this far from its faces [m], or this share of its longest side: so near to its edges
+that a can is none."""
+EMPTY_SHARE = 0.03
+"""No more than this share of them may be empty."""
 
 
 class Told(NamedTuple):
@@ -113,7 +116,8 @@ def cuboid_of(
     found = Cuboid(axes, *ends)
     if (found.high - found.low).min() < LEAST_SIDE or off_faces(found, points, noise).mean() > OFF_SHARE:
         return None
-    return None if look(found.inner()).empty.mean() > EMPTY_SHARE else found
+    margin = max(INSET, INSET_SHARE * float((found.high - found.low).max())) + NOISES * noise
+    return None if look(found.inner(margin)).empty.mean() > EMPTY_SHARE else found
 
 
 def off_faces(cuboid: Cuboid, points: np.ndarray, noise: float = 0.0) -> np.ndarray:

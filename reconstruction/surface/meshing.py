@@ -42,6 +42,7 @@ def extract_mesh(
     if config.max_uncertainty is not None:
         # In the same units as the log odds, so that the surface stays smooth where the two meet.
         floor = np.log(config.max_uncertainty / (1 - config.max_uncertainty))
+        shape = None  # what follows from what was seen is hidden all the same
         sure = floor - np.log(np.clip(uncertainty, 1e-6, 1 - 1e-6) / np.clip(1 - uncertainty, 1e-6, 1))
         log_odds = np.minimum(log_odds, sure)
     spacing, start, edges = field.spacing, np.zeros(3), None

@@ -83,21 +83,22 @@ class RevolvedEdges:
     wall: float
 
     @classmethod
-    def of(cls, edges: Edges | JointEdges, points: np.ndarray, wall: float) -> RevolvedEdges | None:
+    def of(
+        cls, edges: Edges | JointEdges, points: np.ndarray, wall: float, upright: bool
+    ) -> RevolvedEdges | None:
         """The same for points (N, 3) float32 measured of an object; None where it is no body of revolution.
 
-        wall: the surface is so thick at least [m].
+        wall: the surface is so thick at least [m]. upright: about a vertical axis, else about any.
         """
         points = np.ascontiguousarray(points[:: 1 + len(points) // POINTS], np.float32)
         normals = normals_of(edges, points)
         shown = normals.any(1)
         points, normals = points[shown], normals[shown]
-        upright = vertical_axis(points, normals)
-        found = upright is not None and cls._about(np.eye(3), upright, edges, points, normals, wall)
-        if found:
-            return found
-        slanted = slanted_axis(points, normals)
-        return None if slanted is None else cls._about(*slanted, edges, points, normals, wall)
+        if not upright:
+            slanted = slanted_axis(points, normals)
+            return None if slanted is None else cls._about(*slanted, edges, points, normals, wall)
+        axis = vertical_axis(points, normals)
+        return None if axis is None else cls._about(np.eye(3), axis, edges, points, normals, wall)
 
     @classmethod
     def _about(

@@ -21,7 +21,11 @@ def whole_shape(
 
     bare: of places where no depth image says anything.
     """
-    shape = BoxedEdges.of(edges, points, config.wall, bare) if config.cuboids else None
+    shape: WholeShape | None = None
+    if config.round_bodies:
+        shape = RevolvedEdges.of(edges, points, config.wall, upright=True)
+    if shape is None and config.cuboids:
+        shape = BoxedEdges.of(edges, points, config.wall, bare)
     if shape is None and config.round_bodies:
-        return RevolvedEdges.of(edges, points, config.wall)
+        shape = RevolvedEdges.of(edges, points, config.wall, upright=False)
     return shape
