@@ -39,6 +39,7 @@ def test_the_number_of_processes_changes_no_byte(tmp_path, monkeypatch):
     monkeypatch.setenv("CONTRAMAP_CACHE", str(tmp_path / "other"))
     together = convex_parts(meshes, workers=3)
     assert corners(alone) == corners(together)
+    assert corners(convex_parts(meshes, workers=3)) == corners(alone)  # now from the cache
     assert len(seen) == len(meshes)
 
 

@@ -132,16 +132,18 @@ def convex_parts(
 
 def _parts_of(mesh: trimesh.Trimesh, config: CollisionConfig, process: CutProcess) -> ConvexParts:
     path = _cached_path(mesh, config)
-    if (points := _read(path)) is not None:
-        return ConvexParts(tuple(hull for part in points if (hull := convex_hull(part)) is not None), mesh)
-    solid, hull = Solid(mesh), mesh.convex_hull
-    if bulges(surfaces([hull]), solid)[0][0] <= config.convex_within:
-        parts, note = [hull], ""
-    else:
-        parts, note = _cut(mesh, solid, config, process)
-    if not note:  # what failed this time, on a busy machine perhaps, is not kept
-        _write(path, [np.asarray(part.vertices) for part in parts])
-    return ConvexParts(tuple(parts), mesh, note)
+    points, note = _read(path), ""
+    if points is None:
+        solid, hull = Solid(mesh), mesh.convex_hull
+        if bulges(surfaces([hull]), solid)[0][0] <= config.convex_within:
+            parts = [hull]
+        else:
+            parts, note = _cut(mesh, solid, config, process)
+        points = [np.asarray(part.vertices) for part in parts]
+        if not note:  # what failed this time, on a busy machine perhaps, is not kept
+            _write(path, points)
+    # Made of the points in either case: the hull of a hull may differ from it in its last bit.
+    return ConvexParts(tuple(hull for part in points if (hull := convex_hull(part)) is not None), mesh, note)
 
 
 def _cut(
