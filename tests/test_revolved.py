@@ -10,10 +10,12 @@ import pytest
 from conftest import Shape, make_tabletop
 
 from perception.observing import observe
+from reconstruction.config import FusionConfig
 from reconstruction.surface.revolved import RevolvedEdges
-from reconstruction.surface.seen_surface import SeenSurface
+from reconstruction.surface.seen_surface import Edges, SeenSurface
 from reconstruction.surface.slanted_axis import slanted_axis
 from reconstruction.surface.vertical_axis import vertical_axis
+from reconstruction.surface.whole_shape import whole_shape
 
 CAN = Shape("cylinder", (0.04, 0.12), (0.03, 0.02, 0.06))
 LYING = Shape("lying cylinder", (0.035, 0.11), (0.0, 0.0, 0.035), 0.5)
@@ -99,13 +101,16 @@ def test_flat_and_few_points_have_no_axis() -> None:
     assert vertical_axis(flat.astype(np.float32), level) is None
 
 
+def round_body(edges: Edges, points: np.ndarray) -> RevolvedEdges | None:
+    shape = whole_shape(edges, points, FusionConfig(), lambda places: np.zeros(len(places), bool))
+    return shape if isinstance(shape, RevolvedEdges) else None
+
+
 @cache
 def revolved(name: str) -> RevolvedEdges | None:
     observation = observe(make_tabletop((SOLIDS[name],)).frame)
     edges = SeenSurface.of(observation, floors=[-0.0015]).edges(0)
-    points = observation.objects[0].points
-    upright = RevolvedEdges.of(edges, points, 0.004, upright=True)
-    return upright or RevolvedEdges.of(edges, points, 0.004, upright=False)
+    return round_body(edges, observation.objects[0].points)
 
 
 @pytest.mark.parametrize("name", SOLIDS)
@@ -162,7 +167,7 @@ def test_what_lies_close_behind_a_handle_stays() -> None:
     observation = observe(replace(frame, labels=np.minimum(frame.labels, 1)))
     edges = SeenSurface.of(observation, floors=[-0.0015]).edges(0)
     item = observation.objects[0]
-    both = RevolvedEdges.of(edges, item.points, 0.004, upright=True)
+    both = round_body(edges, item.points)
     assert both is not None
     of_handle = item.points[handle.reshape(-1)[item.pixels]].astype(np.float32)
     of_handle = of_handle[np.hypot(*(of_handle[:, :2] - both.axis).T) > 0.052]

@@ -14,12 +14,10 @@ from scipy.spatial import cKDTree
 
 from reconstruction.surface.cuboid import Cuboid
 from reconstruction.surface.cuboid_of_faces import Told, cuboid_of, off_faces
-from reconstruction.surface.joint_surface import JointEdges, normals_of
+from reconstruction.surface.joint_surface import JointEdges
 from reconstruction.surface.reading import Reading
 from reconstruction.surface.seen_surface import Edges
 
-POINTS = 800
-"""About as many measured points are looked at."""
 FREE = 0.0002
 """Places at least so far before what was measured [m] are empty: rays over far edges end close by."""
 CARRIED = 0.012
@@ -45,15 +43,14 @@ class BoxedEdges:
     wall: float
 
     @classmethod
-    def of(cls, edges: Edges | JointEdges, points: np.ndarray, wall: float, bare: Bare) -> BoxedEdges | None:
-        """The same for points (N, 3) float32 measured of an object; None where it is no cuboid.
+    def of(
+        cls, edges: Edges | JointEdges, points: np.ndarray, normals: np.ndarray, wall: float, bare: Bare
+    ) -> BoxedEdges | None:
+        """The same for points (N, 3) float32 measured of an object, normals (N, 3) into it; None where it
+        is no cuboid.
 
         wall: the surface is so thick at least [m]. bare: of places where no depth image says anything.
         """
-        points = np.ascontiguousarray(points[:: 1 + len(points) // POINTS], np.float32)
-        normals = normals_of(edges, points)
-        shown = normals.any(1)
-        points, normals = points[shown], normals[shown]
         one, other = edges.above_floor(np.array([0, 1], np.float32)).tolist()
         floor = None if one == other else -one
 

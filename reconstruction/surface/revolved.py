@@ -18,14 +18,12 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from reconstruction.surface.joint_surface import JointEdges, normals_of
+from reconstruction.surface.joint_surface import JointEdges
 from reconstruction.surface.reading import Reading
 from reconstruction.surface.seen_surface import Edges
 from reconstruction.surface.slanted_axis import slanted_axis
 from reconstruction.surface.vertical_axis import vertical_axis
 
-POINTS = 1000
-"""About as many measured points are looked at."""
 ANGLES = 24
 """Places around the axis at which rays are asked."""
 PASSED, PASSED_BY = 0.004, 0.04
@@ -84,16 +82,13 @@ class RevolvedEdges:
 
     @classmethod
     def of(
-        cls, edges: Edges | JointEdges, points: np.ndarray, wall: float, upright: bool
+        cls, edges: Edges | JointEdges, points: np.ndarray, normals: np.ndarray, wall: float, upright: bool
     ) -> RevolvedEdges | None:
-        """The same for points (N, 3) float32 measured of an object; None where it is no body of revolution.
+        """The same for points (N, 3) float32 measured of an object, normals (N, 3) into it; None where it
+        is no body of revolution.
 
         wall: the surface is so thick at least [m]. upright: about a vertical axis, else about any.
         """
-        points = np.ascontiguousarray(points[:: 1 + len(points) // POINTS], np.float32)
-        normals = normals_of(edges, points)
-        shown = normals.any(1)
-        points, normals = points[shown], normals[shown]
         if not upright:
             slanted = slanted_axis(points, normals)
             return None if slanted is None else cls._about(*slanted, edges, points, normals, wall)

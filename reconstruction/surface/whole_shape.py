@@ -6,9 +6,12 @@ import numpy as np
 
 from reconstruction.config import FusionConfig
 from reconstruction.surface.boxed import Bare, BoxedEdges
-from reconstruction.surface.joint_surface import JointEdges
+from reconstruction.surface.joint_surface import JointEdges, normals_of
 from reconstruction.surface.revolved import RevolvedEdges
 from reconstruction.surface.seen_surface import Edges
+
+POINTS = 1000
+"""About as many measured points are looked at."""
 
 WholeShape = BoxedEdges | RevolvedEdges
 """An object's edges, and what they say of its hidden sides."""
@@ -21,11 +24,15 @@ def whole_shape(
 
     bare: of places where no depth image says anything.
     """
+    points = np.ascontiguousarray(points[:: 1 + len(points) // POINTS], np.float32)
+    normals = normals_of(edges, points)
+    shown = normals.any(1)
+    seen = points[shown], normals[shown], config.wall
     shape: WholeShape | None = None
     if config.round_bodies:
-        shape = RevolvedEdges.of(edges, points, config.wall, upright=True)
+        shape = RevolvedEdges.of(edges, *seen, upright=True)
     if shape is None and config.cuboids:
-        shape = BoxedEdges.of(edges, points, config.wall, bare)
+        shape = BoxedEdges.of(edges, *seen, bare)
     if shape is None and config.round_bodies:
-        shape = RevolvedEdges.of(edges, points, config.wall, upright=False)
+        shape = RevolvedEdges.of(edges, *seen, upright=False)
     return shape
