@@ -56,8 +56,10 @@ may hide the rest, and a side is straight."""
 SHADOW = 0.01
 """Where what is empty begins farther away than this [m], a shadow without depth lies between, and the cuboid
 ends with what was measured of it."""
-HIDDEN = np.inf
-"""Stands for an end that something else hides."""
+SEEN, HIDDEN, CARRIED = 0, 1, 2
+"""An end: rays passed beyond it; something hides it; something begins there that may carry the object."""
+MOST_OPEN = 2
+"""Of a cuboid of which two faces are seen, or three, no more ends are out of sight."""
 UPRIGHT = 0.985
 """A side that looks down within the angle of this cosine stands on the floor (10 degrees)."""
 INSET, INSET_SHARE = 0.004, 0.025
@@ -84,45 +86,57 @@ def cuboid_of(
 ) -> Cuboid | None:
     """The cuboid that points (N, 3) float32 [m] with outward unit normals (N, 3) lie on.
 
-    None where they lie on no cuboid, or where not all of its sides are known. floor: height of what it may
-    stand on [m], None where unknown. noise: standard deviation of the points [m].
+    None where they lie on none, or where too little is known of its sides; an end that something hides may be
+    open. floor: height of what it may stand on [m], None where unknown. noise: standard deviation of the
+    points [m].
     """
     axes = _axes(points, normals)
     if axes is None:
         return None
     at, facing = points @ axes.T, normals @ axes.T
     tolerance = _tolerance(float(np.ptp(at, axis=0).max()), noise)
-    ends = np.full((2, 3), np.nan)
-    downward = np.outer([-1, 1], axes[:, 2]) < -UPRIGHT
-    stands = np.zeros_like(downward)
+    ends, faces, open, stands = np.empty((2, 3)), *np.zeros((3, 2, 3), bool)
     for side, axis in np.ndindex(ends.shape):
         sign = 2 * side - 1
         own = sign * facing[:, axis] > ALONG
-        if own.mean() < FACE_SHARE:
-            beside = np.abs(facing[:, axis]) < ACROSS
-            end = _end(points[beside], normals[beside], sign * axes[axis], look)
-            stands[side, axis] = end == HIDDEN and downward[side, axis] and floor is not None
-            if not (np.isfinite(end) or stands[side, axis]):
-                return None
-            ends[side, axis] = sign * end
+        if own.mean() >= FACE_SHARE:
+            faces[side, axis], ends[side, axis] = True, np.median(at[own, axis])
+            if np.median(np.abs(at[own, axis] - ends[side, axis])) > tolerance:
+                return None  # several faces one behind another
             continue
-        ends[side, axis] = np.median(at[own, axis])
-        if np.median(np.abs(at[own, axis] - ends[side, axis])) > tolerance:
-            return None  # several faces one behind another
+        beside = np.abs(facing[:, axis]) < ACROSS
+        end, known = _end(points[beside], normals[beside], sign * axes[axis], look)
+        ends[side, axis] = sign * (np.max(sign * at[:, axis]) if np.isnan(end) else end)
+        stands[side, axis] = known == HIDDEN and floor is not None and -sign * axes[axis, 2] > UPRIGHT
+        open[side, axis] = known != SEEN and not stands[side, axis]
+    if not _enough(faces, open):
+        return None
     for side, axis in np.argwhere(stands):  # one at most; its lowest corner is on the floor
         others = np.delete(np.arange(3), axis)
         lowest = (ends[:, others] * axes[others, 2]).min(0).sum()
         ends[side, axis] = (floor - lowest) / axes[axis, 2]
-    found = Cuboid(axes, *ends)
-    if (found.high - found.low).min() < LEAST_SIDE or off_faces(found, points, noise).mean() > OFF_SHARE:
+    low, high = ends
+    found = Cuboid(axes, low, high, open)
+    sides = (found.high - found.low)[~open.any(0)]
+    if sides.min() < LEAST_SIDE or off_faces(found, points, noise).mean() > OFF_SHARE:
         return None
-    margin = max(INSET, INSET_SHARE * float((found.high - found.low).max())) + NOISES * noise
+    margin = max(INSET, INSET_SHARE * float(sides.max())) + NOISES * noise
     return None if look(found.inner(margin)).empty.mean() > EMPTY_SHARE else found
+
+
+def _enough(faces: np.ndarray, open: np.ndarray) -> bool:
+    """Whether enough is known of sides (2, 3): faces that were seen, and ends that were not."""
+    axes_seen = faces.any(0)
+    if axes_seen.sum() > 1:
+        return bool(open.sum() <= MOST_OPEN)
+    return bool(
+        not open[:, ~axes_seen].any()
+    )  # a single face says how the rest is turned by its outline alone
 
 
 def off_faces(cuboid: Cuboid, points: np.ndarray, noise: float = 0.0) -> np.ndarray:
     """Which of points (N, 3) seen of an object are not on a cuboid's faces: (N,) bool; noise: of them [m]."""
-    sides = cuboid.high - cuboid.low
+    sides = (cuboid.high - cuboid.low)[~cuboid.open.any(0)]
     tolerance = min(_tolerance(float(sides.max()), noise), max(FINEST, SLIM * float(sides.min())))
     return np.asarray(np.abs(cuboid.depth(points)) > OFF * tolerance)
 
@@ -132,13 +146,11 @@ def _tolerance(longest: float, noise: float) -> float:
     return max(FLAT, FLAT_SHARE * longest) + NOISES * noise
 
 
-def _end(points: np.ndarray, normals: np.ndarray, outward: np.ndarray, look: Look) -> float:
-    """Where [m] along a direction `outward` (3,) the faces end that points (N, 3) with normals (N, 3) lie on.
-
-    HIDDEN where that is; NaN where something begins there that may carry the object.
-    """
+def _end(points: np.ndarray, normals: np.ndarray, outward: np.ndarray, look: Look) -> tuple[float, int]:
+    """Where [m] along a direction `outward` (3,) the faces end that points (N, 3) with normals (N, 3) lie on,
+    as far as they were seen, NaN where none was; and whether they do end there: SEEN, HIDDEN, or CARRIED."""
     if len(points) < FEWEST:
-        return HIDDEN
+        return np.nan, HIDDEN
     place = points @ outward
     end = float(np.quantile(place, 1 - OUTERMOST))
     last = place > end - END
@@ -149,8 +161,8 @@ def _end(points: np.ndarray, normals: np.ndarray, outward: np.ndarray, look: Loo
     most = empty[BEYOND > SURELY].max()
     if most >= BEYOND_SHARE:
         step = float(BEYOND[np.argmax(empty > most / 2)])
-        return end + (step if step < SHADOW else 0.0)
-    return np.nan if carrying[BEYOND > SURELY].mean() > BEYOND_SHARE else HIDDEN
+        return end + (step if step < SHADOW else 0.0), SEEN
+    return end, CARRIED if carrying[BEYOND > SURELY].mean() > BEYOND_SHARE else HIDDEN
 
 
 def _axes(points: np.ndarray, normals: np.ndarray) -> np.ndarray | None:
