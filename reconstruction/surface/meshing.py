@@ -13,6 +13,7 @@ from reconstruction.surface.joint_surface import JointSurface
 from reconstruction.surface.refined import values_at
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
 from reconstruction.surface.seen_surface import SeenSurface
+from reconstruction.surface.simplified import simplified
 from reconstruction.surface.unseen_walls import with_unseen_walls
 from reconstruction.surface.whole_shape import WholeShape
 
@@ -67,5 +68,9 @@ def extract_mesh(
             solid = ClosedSolid.of(walled, config.smallest_part, cells) or solid
     vertices, faces = solid.surface()
     nodes = vertices * (spacing / field.spacing) + start  # of the map's lattice
-    mesh = trimesh.Trimesh(corner + field.spacing * nodes, faces, process=False)
+    vertices = corner + field.spacing * nodes
+    if config.simplify:
+        vertices, faces = simplified(vertices, faces, config.simplify)
+        nodes = (vertices - corner) / field.spacing
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
     return mesh, np.clip(values_at(uncertainty, nodes), 0, 1)
