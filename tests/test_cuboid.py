@@ -17,6 +17,7 @@ from reconstruction.scene import reconstruct
 from reconstruction.surface.boxed import BoxedEdges
 from reconstruction.surface.cuboid import Cuboid
 from reconstruction.surface.revolved import RevolvedEdges
+from reconstruction.surface.whole_shape import whole_shape
 
 SIZE = np.array([0.06, 0.10, 0.12])
 CARTON = Shape("box", tuple(SIZE), (0.0, 0.0, 0.06), 0.4)
@@ -82,6 +83,15 @@ def test_noise_makes_no_cuboid_of_a_can(lies: bool) -> None:
     can = Shape("lying cylinder", (0.035, 0.11), (0.0, 0.0, 0.035), 0.3) if lies else SCENES["can"][0]
     scene = FittedScene.of(make_tabletop((can,), noise=0.002).frame, PipelineConfig())
     assert isinstance(scene.shapes[0], RevolvedEdges)
+
+
+@pytest.mark.parametrize("count", [0, 1, 60])
+def test_few_points_are_of_no_shape(count: int) -> None:
+    edges = boxed("carton")
+    assert edges is not None
+    points = observe(make_tabletop((CARTON,)).frame).objects[0].points
+    few = points[:: len(points) // 60][:count]
+    assert whole_shape(edges.edges, few, FusionConfig(), lambda places: np.zeros(len(places), bool)) is None
 
 
 def test_two_faces_in_steps_are_no_cuboid() -> None:

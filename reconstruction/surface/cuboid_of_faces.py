@@ -129,9 +129,8 @@ def _enough(faces: np.ndarray, open: np.ndarray) -> bool:
     axes_seen = faces.any(0)
     if axes_seen.sum() > 1:
         return bool(open.sum() <= MOST_OPEN)
-    return bool(
-        not open[:, ~axes_seen].any()
-    )  # a single face says how the rest is turned by its outline alone
+    # A single face says how the rest is turned by its outline alone: that has to be whole.
+    return not open[:, ~axes_seen].any()
 
 
 def off_faces(cuboid: Cuboid, points: np.ndarray, noise: float = 0.0) -> np.ndarray:

@@ -12,6 +12,8 @@ from reconstruction.surface.seen_surface import Edges
 
 POINTS = 1000
 """About as many measured points are looked at."""
+LEAST_POINTS = 100
+"""Fewer say too little of a shape."""
 
 WholeShape = BoxedEdges | RevolvedEdges
 """An object's edges, and what they say of its hidden sides."""
@@ -27,6 +29,8 @@ def whole_shape(
     points = np.ascontiguousarray(points[:: 1 + len(points) // POINTS], np.float32)
     normals = normals_of(edges, points)
     shown = normals.any(1)
+    if np.count_nonzero(shown) < LEAST_POINTS:
+        return None
     seen = points[shown], normals[shown], config.wall
     shape: WholeShape | None = None
     if config.round_bodies:
