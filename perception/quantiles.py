@@ -10,6 +10,11 @@ def quantiles(values: np.ndarray, *shares: float) -> np.ndarray:
     return np.array(_between(np.sort(values), shares))
 
 
+def median(values: np.ndarray) -> float:
+    """The median of values (N,), as numpy.median's."""
+    return _between(np.sort(values), (0.5,))[0]
+
+
 def column_quantiles(points: np.ndarray, *shares: float) -> np.ndarray:
     """Quantiles (len(shares), C) float64 of each column of points (N, C)."""
     return np.array([_between(np.sort(column), shares) for column in points.T]).T

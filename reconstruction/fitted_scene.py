@@ -154,7 +154,8 @@ class FittedScene:
         def look(index: int) -> WholeShape | None:
             return whole_shape(seen.edges(index), self._points(index), fusion, bare)
 
-        return map_in_threads(look, range(len(self.observation.objects)))
+        # One after another: many short steps, which threads would only keep from each other.
+        return [look(index) for index in range(len(self.observation.objects))]
 
     def _points(self, index: int) -> np.ndarray:
         """What was measured of an object (N, 3) [m]; a surface seen several times is there once."""

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from perception.quantiles import column_quantiles, median, quantiles
 from reconstruction.surface.cuboid import Cuboid
 
 ALONG = 0.95
@@ -100,8 +101,8 @@ def cuboid_of(
         sign = 2 * side - 1
         own = sign * facing[:, axis] > ALONG
         if own.mean() >= FACE_SHARE:
-            faces[side, axis], ends[side, axis] = True, np.median(at[own, axis])
-            if np.median(np.abs(at[own, axis] - ends[side, axis])) > tolerance:
+            faces[side, axis], ends[side, axis] = True, median(at[own, axis])
+            if median(np.abs(at[own, axis] - ends[side, axis])) > tolerance:
                 return None  # several faces one behind another
             continue
         beside = np.abs(facing[:, axis]) < ACROSS
@@ -151,7 +152,7 @@ def _end(points: np.ndarray, normals: np.ndarray, outward: np.ndarray, look: Loo
     if len(points) < FEWEST:
         return np.nan, HIDDEN
     place = points @ outward
-    end = float(np.quantile(place, 1 - OUTERMOST))
+    end = float(quantiles(place, 1 - OUTERMOST)[0])
     last = place > end - END
     sunk = points[last] - SUNK * normals[last] + (end - place[last])[:, None] * outward
     places = sunk + BEYOND[:, None, None] * outward  # (S, M, 3)
@@ -196,9 +197,9 @@ def _direction(
             return None
         found = normals[own].mean(0).astype(np.float64)
         face = points[own].astype(np.float64)
-        face -= np.median(face, axis=0)
+        face -= column_quantiles(face, 0.5)
         off = np.abs(face @ best)
-        face = face[off <= OFF * max(float(np.median(off)), FLAT / 2)]
+        face = face[off <= OFF * max(median(off), FLAT / 2)]
         if across is not None:
             found -= (found @ across) * across
             face -= np.outer(face @ across, across)

@@ -18,6 +18,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from mapping.compiled import compiled
 from reconstruction.surface.joint_surface import JointEdges
 from reconstruction.surface.reading import Reading
 from reconstruction.surface.seen_surface import Edges
@@ -41,12 +42,13 @@ COARSE = 3
 """Rays are asked at one cell in so many along radius and height."""
 BEYOND = 0.015
 """The half plane reaches this far beyond the measured points [m]."""
+_PER_CELL = np.float32(1 / CELL)
 NEAR, BESIDE = 0.006, 0.003
 """The profile is known within this distance across it, and beyond its ends [m]; twice as far beyond where no
 ray passed."""
 EMPTY, UNKNOWN = np.float32(-0.008), np.float32(0.02)
 """Depths [m] where rays passed, and where nothing is known."""
-NEIGHBOURS = 12
+NEIGHBOURS = 8
 """So many measured points nearby say how deep a place is."""
 FLOOR = 0.7
 """Normals that point down more than this belong to the inside: a bowl's floor."""
@@ -173,10 +175,9 @@ class RevolvedEdges:
 
     def depth_of(self, points: np.ndarray) -> np.ndarray:
         """How deep points (N, 3) lie in the body (N,) float32 [m], as in the table."""
-        points = points @ self.turn.T
-        radius = np.hypot(points[:, 0] - np.float32(self.axis[0]), points[:, 1] - np.float32(self.axis[1]))
-        places = np.stack([radius, points[:, 2] - np.float32(self.height)]) / np.float32(CELL)
-        return ndimage.map_coordinates(self.depth, places, order=1, cval=float(UNKNOWN))
+        points = np.ascontiguousarray(points, np.float32)
+        axis = np.asarray(self.axis, np.float32)
+        return _in_table(points, self.turn, axis, np.float32(self.height), self.depth)
 
     def _shown(self, points: np.ndarray, behind: np.ndarray) -> np.ndarray:
         """Where the surface is that points (N, 3) lie `behind` (N,) [m], seen from the first camera."""
@@ -250,3 +251,27 @@ def _depth_behind(
     known = (aside < beyond) & (np.abs(depth) < NEAR)
     behind[near] = np.where(known, depth, -np.inf)
     return behind
+
+
+@compiled
+def _in_table(
+    points: np.ndarray, turn: np.ndarray, axis: np.ndarray, height: float, table: np.ndarray
+) -> np.ndarray:
+    """The table (R, Z) of `RevolvedEdges` between its cells at points (N, 3), beyond it UNKNOWN; float32."""
+    rows, columns = table.shape
+    found = np.empty(len(points), np.float32)
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        across = turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z - axis[0]
+        aside = turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z - axis[1]
+        up = (turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z - height) * _PER_CELL
+        out = np.sqrt(across * across + aside * aside) * _PER_CELL
+        if up < 0 or out > rows - 1 or up > columns - 1:
+            found[i] = UNKNOWN
+            continue
+        r, c = min(int(out), rows - 2), min(int(up), columns - 2)
+        dr, dc = out - np.float32(r), up - np.float32(c)
+        low = table[r, c] * (1 - dc) + table[r, c + 1] * dc
+        high = table[r + 1, c] * (1 - dc) + table[r + 1, c + 1] * dc
+        found[i] = low * (1 - dr) + high * dr
+    return found

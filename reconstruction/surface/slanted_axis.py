@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from perception.quantiles import median
 from reconstruction.surface.vertical_axis import vertical_axis
 
 FEW = 500
@@ -49,7 +50,7 @@ def _direction(place: np.ndarray, normals: np.ndarray) -> np.ndarray:
         directions = squares[:3, :3] + squares[:3, 3:] @ moment_of
         direction = np.linalg.eigh((directions + directions.T) / 2)[1][:, 0]
         missed = np.abs(rows @ np.concatenate([direction, moment_of @ direction]))
-        weight = 1 / (1 + (missed / max(float(np.median(missed)), 1e-4)) ** 2)
+        weight = 1 / (1 + (missed / max(median(missed), 1e-4)) ** 2)
     return direction
 
 

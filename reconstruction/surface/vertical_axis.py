@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from mapping.compiled import compiled
+from perception.quantiles import median
 
 UPRIGHT = 0.25
 """Normals with less than this of a level part say nothing of where the axis is."""
@@ -39,14 +40,14 @@ def vertical_axis(points: np.ndarray, normals: np.ndarray) -> np.ndarray | None:
     axis = _meeting_place(across, offset, (level[upright] ** 2).astype(np.float64))
     away = place - axis
     radius = np.hypot(*away.T)
-    if np.median(np.abs(offset - across @ axis) / np.maximum(radius, 1e-3)) > ASTRAY:
+    if median(np.abs(offset - across @ axis) / np.maximum(radius, 1e-3)) > ASTRAY:
         return None
     circle = 2 * np.floor(points[upright, 2] / SLICE).astype(int) + ((inward * away).sum(1) > 0)
     circle -= circle.min()
     axis = _middle_of_circles(place, circle, axis)
     radius = np.hypot(*(place - axis).T)
-    limit = max(SPREAD[0], SPREAD[1] * float(np.median(radius)))
-    return axis if np.median(np.abs(_off(radius, circle))) < limit else None
+    limit = max(SPREAD[0], SPREAD[1] * median(radius))
+    return axis if median(np.abs(_off(radius, circle))) < limit else None
 
 
 def _meeting_place(across: np.ndarray, offset: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -55,7 +56,7 @@ def _meeting_place(across: np.ndarray, offset: np.ndarray, weight: np.ndarray) -
     axis = _solved(across, offset, weight)
     for _ in range(ROUNDS):
         missed = np.abs(offset - (across[:, 0] * axis[0] + across[:, 1] * axis[1]))
-        axis = _solved(across, offset, weight / (1 + (missed / max(np.median(missed), 1e-4)) ** 2))
+        axis = _solved(across, offset, weight / (1 + (missed / max(median(missed), 1e-4)) ** 2))
     return np.array(axis)
 
 

@@ -10,7 +10,7 @@ from reconstruction.surface.joint_surface import JointEdges, normals_of
 from reconstruction.surface.revolved import RevolvedEdges
 from reconstruction.surface.seen_surface import Edges
 
-POINTS = 1000
+POINTS = 500
 """About as many measured points are looked at."""
 LEAST_POINTS = 100
 """Fewer say too little of a shape."""
