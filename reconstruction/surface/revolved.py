@@ -48,7 +48,7 @@ NEAR, BESIDE = 0.006, 0.003
 ray passed."""
 EMPTY, UNKNOWN = np.float32(-0.008), np.float32(0.02)
 """Depths [m] where rays passed, and where nothing is known."""
-NEIGHBOURS = 8
+NEIGHBOURS = 12
 """So many measured points nearby say how deep a place is."""
 FLOOR = 0.7
 """Normals that point down more than this belong to the inside: a bowl's floor."""
