@@ -23,7 +23,9 @@ BEYOND = -20.0
 
 HELD = 0.5
 """The surface keeps about this distance from the object's mesh, in cells: edges that pass between nodes are
-held, too."""
+held, too ..."""
+LEAST_HELD = 0.2
+"""... and this from its vertices, which may be the tips of something sharp."""
 
 
 @dataclass(frozen=True)
@@ -78,11 +80,24 @@ def _inflated(
     depth = np.where(solid.inside(nodes), 1.0, -1.0) * solid.distance(nodes) / config.spacing
     # The mesh itself belongs to it: what was measured counts more than what the map says there.
     values = np.maximum(odds - level, depth + HELD).astype(np.float32)
+    _hold(values, (np.asarray(mesh.vertices) - low) / config.spacing)
     values = _one_piece(values, solid.inside(nodes))
     values = np.where(np.abs(values) < 1e-4, np.float32(-1e-4), values)
     padded = np.pad(values, 1, constant_values=BEYOND)
     vertices, faces, _, _ = marching_cubes(padded, 0.0, gradient_direction="ascent", allow_degenerate=False)
     return trimesh.Trimesh(low + config.spacing * (vertices - 1), faces, process=False)
+
+
+def _hold(values: np.ndarray, places: np.ndarray) -> None:
+    """Raise a lattice's values where places (N, 3) [cells] between its nodes get less than LEAST_HELD."""
+    cell = np.floor(places).astype(int)
+    share = places - cell
+    corners = cell[:, None] + np.indices((2, 2, 2)).reshape(3, -1).T  # (N, 8, 3)
+    weights = np.where(corners > cell[:, None], share[:, None], 1 - share[:, None]).prod(-1)
+    index = tuple(np.moveaxis(corners, -1, 0))
+    lacking = LEAST_HELD - (weights * values[index]).sum(1)
+    raised = (values[index] + lacking[:, None])[lacking > 0]
+    np.maximum.at(values, tuple(axis[lacking > 0] for axis in index), raised.astype(np.float32))
 
 
 def may_be_occupied(probability: np.ndarray, column: int) -> np.ndarray:
