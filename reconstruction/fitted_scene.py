@@ -147,15 +147,15 @@ class FittedScene:
         if seen is None:
             return [None] * len(self.observation.objects)
 
+        views = each_view(self.observation, self.space)
+
         def bare(places: np.ndarray) -> np.ndarray:
-            views = each_view(self.observation, self.space)
             return np.all([beside_all_masks(*view, places) for view in views], axis=0)
 
         def look(index: int) -> WholeShape | None:
             return whole_shape(seen.edges(index), self._points(index), fusion, bare)
 
-        # One after another: many short steps, which threads would only keep from each other.
-        return [look(index) for index in range(len(self.observation.objects))]
+        return map_in_threads(look, range(len(self.observation.objects)))
 
     def _points(self, index: int) -> np.ndarray:
         """What was measured of an object (N, 3) [m]; a surface seen several times is there once."""

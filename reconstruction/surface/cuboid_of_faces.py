@@ -9,36 +9,25 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
-from perception.quantiles import column_quantiles, median, quantiles
+from perception.quantiles import median, quantiles
 from reconstruction.surface.cuboid import Cuboid
+from reconstruction.surface.face_directions import (
+    ACROSS,
+    ALONG,
+    FACE_SHARE,
+    FEWEST,
+    FLAT,
+    OFF,
+    face_directions,
+)
 
-ALONG = 0.95
-"""Normals within the angle of this cosine belong to a face (18 degrees)."""
-ACROSS = 0.3
-"""Normals within the angle of this sine are at right angles to a direction (17 degrees)."""
-CANDIDATES = 40
-"""About so many normals are tried as the direction of a face."""
-ROUNDS = 3
-"""Each round knows a face's direction better, and with it which points are the face's."""
-FEWEST = 20
-"""Fewer points say nothing of a direction or an end."""
-NARROW = 0.003
-"""Points that spread less than this [m] say nothing of a plane; their normals do."""
-FACE_SHARE = 0.03
-"""A face holds at least this share of the points."""
-FACES_SHARE = 0.55
-"""At least this share of the normals lies along the faces': where two faces meet they are in between, and a
-sensor's noise bends them."""
-FLAT, FLAT_SHARE, NOISES = 0.0015, 0.01, 4.0
-"""Half of a face's points are no farther than this from its plane [m], or than this share of the longest
-side, and these standard deviations of noise."""
+FLAT_SHARE, NOISES = 0.01, 4.0
+"""Half of a face's points are no farther from its plane than FLAT, or than this share of the longest side,
+and these standard deviations of noise."""
 FINEST, SLIM = 0.001, 0.08
 """No more than this [m], or this share of the shortest side: a thin round thing is near to some cuboid."""
-OFF = 2.0
-"""Points so many times as far as that are off the cuboid."""
 OFF_SHARE = 0.04
 """No more than this share of the points is off it."""
 LEAST_SIDE = 0.008
@@ -91,7 +80,7 @@ def cuboid_of(
     open. floor: height of what it may stand on [m], None where unknown. noise: standard deviation of the
     points [m].
     """
-    axes = _axes(points, normals)
+    axes = face_directions(points, normals)
     if axes is None:
         return None
     at, facing = points @ axes.T, normals @ axes.T
@@ -163,62 +152,3 @@ def _end(points: np.ndarray, normals: np.ndarray, outward: np.ndarray, look: Loo
         step = float(BEYOND[np.argmax(empty > most / 2)])
         return end + (step if step < SHADOW else 0.0), SEEN
     return end, CARRIED if carrying[BEYOND > SURELY].mean() > BEYOND_SHARE else HIDDEN
-
-
-def _axes(points: np.ndarray, normals: np.ndarray) -> np.ndarray | None:
-    """The directions (3, 3) of the faces; None where normals do not lie along three that are at right
-    angles."""
-    first = _direction(normals, points)
-    if first is None:
-        return None
-    across = np.abs(normals @ first) < ACROSS
-    if across.mean() >= FACE_SHARE:
-        level = normals[across] - np.outer(normals[across] @ first, first)
-        level /= np.linalg.norm(level, axis=1)[:, None]
-        second = _direction(level, points[across], first)
-        if second is None:
-            return None
-    else:
-        second = _edge(points[np.abs(normals @ first) > ALONG], first)
-    axes = np.stack([first, second, np.cross(first, second)])
-    return axes if (np.abs(normals @ axes.T).max(1) > ALONG).mean() >= FACES_SHARE else None
-
-
-def _direction(
-    normals: np.ndarray, points: np.ndarray, across: np.ndarray | None = None
-) -> np.ndarray | None:
-    """The direction (3,) that most normals (N, 3) lie along, at right angles to `across`; from the plane of
-    their points (N, 3), for normals are bent near edges."""
-    tried = normals[:: 1 + len(normals) // CANDIDATES]
-    best = tried[(np.abs(tried @ normals.T) > ALONG).sum(1).argmax()].astype(np.float64)
-    for _ in range(ROUNDS):
-        own = normals @ best > ALONG
-        if np.count_nonzero(own) < FEWEST:
-            return None
-        found = normals[own].mean(0).astype(np.float64)
-        face = points[own].astype(np.float64)
-        face -= column_quantiles(face, 0.5)
-        off = np.abs(face @ best)
-        face = face[off <= OFF * max(median(off), FLAT / 2)]
-        if across is not None:
-            found -= (found @ across) * across
-            face -= np.outer(face @ across, across)
-        spread, directions = np.linalg.eigh(face.T @ face / max(len(face), 1))
-        # The direction of least spread is the plane's; that of none at all is `across`.
-        plane = directions[:, 0 if across is None else 1]
-        known = spread[1 if across is None else 2] > NARROW**2
-        found /= np.linalg.norm(found)
-        if known and abs(plane @ found) > ALONG:
-            found = plane * np.sign(plane @ found)
-        best = found
-    return best
-
-
-def _edge(face: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """The direction (3,) of a side of the smallest rectangle around points (N, 3) of one face."""
-    aside = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-    aside /= np.linalg.norm(aside)
-    plane = np.stack([aside, np.cross(normal, aside)])
-    _, _, degrees = cv2.minAreaRect((face @ plane.T).astype(np.float32))
-    turn = np.deg2rad(degrees)
-    return np.cos(turn) * plane[0] + np.sin(turn) * plane[1]

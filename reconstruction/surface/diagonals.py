@@ -26,6 +26,10 @@ def _between_diagonals(values: np.ndarray, least: float) -> np.ndarray:
     """The flat nodes (M,) that `between_diagonals` tells."""
     nx, ny, nz = values.shape
     flat, found = values.reshape(-1), []
+    inside = np.empty(len(flat), np.uint8)
+    for a in range(len(flat)):
+        inside[a] = flat[a] > 0
+    crossed = np.empty(nz, np.uint8)
     for i in range(nx):
         for j in range(ny):
             first = (i * ny + j) * nz
@@ -34,15 +38,31 @@ def _between_diagonals(values: np.ndarray, least: float) -> np.ndarray:
                 (ny * nz, 1, i + 1 < nx),
                 (nz, 1, j + 1 < ny),
             ):
-                if not inner:
+                count = nz - (along == 1)
+                if not inner or not _any_crossed(inside, first, across, along, count, crossed):
                     continue
-                for a in range(first, first + nz - (along == 1)):
-                    here = flat[a] > 0
-                    if here == (flat[a + across + along] > 0):
-                        beside = flat[a + across] > 0
-                        if beside != here and beside == (flat[a + along] > 0):
-                            b, c = (a + across, a + along) if here else (a, a + across + along)
-                            node = b if flat[b] >= flat[c] else c
-                            if flat[node] > least:
-                                found.append(node)
+                for k in range(count):
+                    if crossed[k]:
+                        a = first + k
+                        b, c = (a + across, a + along) if inside[a] else (a, a + across + along)
+                        node = b if flat[b] >= flat[c] else c
+                        if flat[node] > least:
+                            found.append(node)
     return np.array(found, np.int64)
+
+
+@compiled
+def _any_crossed(
+    inside: np.ndarray, first: int, across: int, along: int, count: int, crossed: np.ndarray
+) -> bool:
+    """Whether in any square, from `count` nodes on in a row, only opposite corners are inside; tells in
+    `crossed` of each."""
+    a, b = inside[first : first + count], inside[first + across : first + across + count]
+    c = inside[first + along : first + along + count]
+    d = inside[first + across + along : first + across + along + count]
+    some = np.uint8(0)
+    for k in range(count):
+        # Bit by bit, not with `and`: these loops become vectors.
+        crossed[k] = (a[k] ^ b[k]) & (a[k] ^ c[k]) & (b[k] ^ d[k])
+        some |= crossed[k]
+    return some != 0

@@ -15,11 +15,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from mapping.compiled import compiled
 from reconstruction.surface.joint_surface import JointEdges
+from reconstruction.surface.profile_depth import CELL, NEAR, UNKNOWN, depth_table
 from reconstruction.surface.reading import Reading
 from reconstruction.surface.seen_surface import Edges
 from reconstruction.surface.slanted_axis import slanted_axis
@@ -36,26 +35,11 @@ ROUND_SHARE = 0.75
 """At least this share of the measured points is on the body's circles."""
 LEAST_ARC = 0.25
 """They are seen from all over at least this share of a turn."""
-CELL = 0.002
-"""Cells of the half plane of radius and height [m]."""
 COARSE = 3
 """Rays are asked at one cell in so many along radius and height."""
 BEYOND = 0.015
 """The half plane reaches this far beyond the measured points [m]."""
 _PER_CELL = np.float32(1 / CELL)
-NEAR, BESIDE = 0.006, 0.003
-"""The profile is known within this distance across it, and beyond its ends [m]; twice as far beyond where no
-ray passed."""
-EMPTY, UNKNOWN = np.float32(-0.008), np.float32(0.02)
-"""Depths [m] where rays passed, and where nothing is known."""
-NEIGHBOURS = 12
-"""So many measured points nearby say how deep a place is."""
-FLOOR = 0.7
-"""Normals that point down more than this belong to the inside: a bowl's floor."""
-THINNEST = 0.0045
-"""A wall of which both sides are known is at least so thick [m]: less falls between a lattice's nodes."""
-SLIT = 3
-"""Gaps of fewer cells in the table are closed."""
 HANDLE = 0.015
 """What is seen off the circles may be this thick [m]."""
 
@@ -116,8 +100,12 @@ class RevolvedEdges:
 
         offset = points[:, :2] - axis
         radius = np.hypot(*offset.T)
-        turned = _around(axis, radius, points[:, 2])
-        own = _passed(read, turned, radius) <= PASSED_SHARE
+        # Of the points in one cell of the half plane, the first speaks for all.
+        cell = (radius / CELL).astype(np.int32) * 100_003 + np.floor(points[:, 2] / CELL).astype(np.int32)
+        _, first, of_cell = np.unique(cell, return_index=True, return_inverse=True)
+        turned = _around(axis, radius[first], points[first, 2])
+        whole = _passed(read, turned, radius[first]) <= PASSED_SHARE
+        own = whole[of_cell]
         arc = np.unique((np.arctan2(*offset[own].T) * (ANGLES / 2 / np.pi)).astype(int))
         if own.mean() < ROUND_SHARE or len(arc) < LEAST_ARC * ANGLES:
             return None
@@ -129,8 +117,8 @@ class RevolvedEdges:
             np.array([radius.max() + BEYOND, points[:, 2].max() + BEYOND - low]) / (CELL * COARSE)
         )
         empty = _empty(read, axis, low, shape.astype(int))
-        depth = _depths(profile, inwards, low, empty)
-        return cls(edges, turn, axis, low, depth, turned[own].reshape(-1, 3) @ turn, wall)
+        depth = depth_table(profile, inwards, low, empty)
+        return cls(edges, turn, axis, low, depth, turned[whole].reshape(-1, 3) @ turn, wall)
 
     def read(self, points: np.ndarray) -> Reading:
         """What the depth image says of points (N, 3) float32 [m], or the circles where it says nothing."""
@@ -210,47 +198,6 @@ def _empty(read: Read, axis: np.ndarray, low: float, shape: np.ndarray) -> np.nd
     places = np.stack(np.meshgrid(radius, low + height, indexing="ij"), -1).reshape(-1, 2)
     passed = _passed(read, _around(axis, *places.T), places[:, 0]) > PASSED_SHARE
     return passed.reshape(shape).repeat(COARSE, 0).repeat(COARSE, 1)
-
-
-def _depths(profile: np.ndarray, inwards: np.ndarray, low: float, empty: np.ndarray) -> np.ndarray:
-    """The table of `RevolvedEdges` from a profile (M, 2) of radii and heights [m], its normals (M, 2) and
-    what is empty (R, Z)."""
-    places = np.stack(np.meshgrid(*(np.arange(n) * CELL for n in empty.shape), indexing="ij"), -1)
-    places[..., 1] += low
-    beyond = np.where(empty, BESIDE, 2 * BESIDE)
-    outer = (inwards[:, 0] < 0) & (inwards[:, 1] > -FLOOR)
-    sides = sorted((outer, ~outer), key=np.count_nonzero)
-    less, more = (_depth_behind(profile[side], inwards[side], places, beyond) for side in sides)
-    # A wall's two sides are known to a millimetre or two, and some walls are no thicker: the side of which
-    # more was seen stays where it is.
-    both = np.isfinite(less) & np.isfinite(more)
-    lacking = np.maximum(THINNEST - np.where(both, less + more, THINNEST), 0)
-    depth = np.where(both, np.minimum(less + lacking, more), np.maximum(less, more))
-    depth = np.where(np.isfinite(depth), depth, np.where(empty, EMPTY, UNKNOWN)).astype(np.float32)
-    return ndimage.grey_closing(depth, SLIT)
-
-
-def _depth_behind(
-    profile: np.ndarray, inwards: np.ndarray, places: np.ndarray, beyond: np.ndarray
-) -> np.ndarray:
-    """How far places (R, Z, 2) are behind the profile (M, 2) of one side of a wall (R, Z) [m], -inf where
-    that is not known: `beyond` (R, Z) [m] its ends."""
-    if not len(profile):
-        return np.full(beyond.shape, -np.inf)
-    count = min(NEIGHBOURS, len(profile))
-    tree, behind = cKDTree(profile), np.full(beyond.shape, -np.inf)
-    near = np.isfinite(tree.query(places, distance_upper_bound=2 * NEAR)[0])
-    places, beyond = places[near], beyond[near]
-    found, nearest = tree.query(places, count, distance_upper_bound=2 * NEAR)
-    found, nearest = found.reshape(-1, count), nearest.reshape(-1, count)
-    within = np.isfinite(found)
-    nearest = np.where(within, nearest, 0)
-    deep = ((places[:, None] - profile[nearest]) * inwards[nearest]).sum(-1)
-    depth = np.where(within, deep, 0).sum(-1) / np.maximum(within.sum(-1), 1)
-    aside = np.sqrt(np.maximum(found[:, 0] ** 2 - depth**2, 0))
-    known = (aside < beyond) & (np.abs(depth) < NEAR)
-    behind[near] = np.where(known, depth, -np.inf)
-    return behind
 
 
 @compiled

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from perception.quantiles import median
+from mapping.compiled import compiled
 from reconstruction.surface.vertical_axis import vertical_axis
 
 FEW = 500
@@ -37,21 +37,36 @@ def slanted_axis(points: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, n
     return None if axis is None else (turn, axis)
 
 
+@compiled
 def _direction(place: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """The unit direction (3,) of the axis that most of the lines through places (N, 3) along normals (N, 3)
     come near to."""
-    rows = np.concatenate([np.cross(normals, place), -normals], 1)
-    weight = np.ones(len(rows))
-    direction = np.zeros(3)
+    rows = np.empty((len(place), 6))
+    for i in range(len(place)):
+        for axis in range(3):
+            after, last = (axis + 1) % 3, (axis + 2) % 3
+            rows[i, axis] = normals[i, after] * place[i, last] - normals[i, last] * place[i, after]
+            rows[i, 3 + axis] = -normals[i, axis]
+    weight, missed = np.ones(len(rows)), np.empty(len(rows))
+    line = np.zeros(6)  # direction and moment
     for _ in range(ROUNDS):
-        squares = (rows * weight[:, None]).T @ rows
+        squares = np.zeros((6, 6))
+        for i in range(len(rows)):
+            for j in range(6):
+                for k in range(6):
+                    squares[j, k] += weight[i] * rows[i, j] * rows[i, k]
         moments = squares[3:, 3:] + LEAST * weight.sum() * np.eye(3)
-        moment_of = -np.linalg.solve(moments, squares[3:, :3])
-        directions = squares[:3, :3] + squares[:3, 3:] @ moment_of
-        direction = np.linalg.eigh((directions + directions.T) / 2)[1][:, 0]
-        missed = np.abs(rows @ np.concatenate([direction, moment_of @ direction]))
-        weight = 1 / (1 + (missed / max(median(missed), 1e-4)) ** 2)
-    return direction
+        moment_of = -np.linalg.solve(moments, squares[3:, :3].copy())
+        directions = squares[:3, :3] + squares[:3, 3:].copy() @ moment_of
+        line[:3] = np.linalg.eigh((directions + directions.T) / 2)[1][:, 0]
+        line[3:] = moment_of @ line[:3]
+        for i in range(len(rows)):
+            far = 0.0
+            for j in range(6):
+                far += rows[i, j] * line[j]
+            missed[i] = abs(far)
+        weight = 1 / (1 + (missed / max(np.median(missed), 1e-4)) ** 2)
+    return line[:3].copy()
 
 
 def _upright(direction: np.ndarray) -> np.ndarray:

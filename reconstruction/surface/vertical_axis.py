@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from mapping.compiled import compiled
-from perception.quantiles import median
 
 UPRIGHT = 0.25
 """Normals with less than this of a level part say nothing of where the axis is."""
@@ -24,6 +23,10 @@ SLICE = 0.005
 """Points within this height belong to one circle [m]."""
 SPREAD = (0.001, 0.025)
 """Half of the radii of a circle differ from its own by less than this [m], or this share of it."""
+CIRCLES_APART = 0.002
+"""Points this far off their circle [m] count half."""
+SHORT_ARC = 0.02
+"""Short arcs do not say how far away their middle is: with this weight the normals' word stands."""
 
 
 def vertical_axis(points: np.ndarray, normals: np.ndarray) -> np.ndarray | None:
@@ -33,44 +36,54 @@ def vertical_axis(points: np.ndarray, normals: np.ndarray) -> np.ndarray | None:
     upright = level > UPRIGHT
     if np.count_nonzero(upright) < LEAST_POINTS:
         return None
-    place = points[upright, :2].astype(np.float64)
-    inward = normals[upright, :2] / level[upright, None].astype(np.float64)
-    across = np.stack([-inward[:, 1], inward[:, 0]], 1)
-    offset = (across * place).sum(1)
-    axis = _meeting_place(across, offset, (level[upright] ** 2).astype(np.float64))
-    away = place - axis
-    radius = np.hypot(*away.T)
-    if median(np.abs(offset - across @ axis) / np.maximum(radius, 1e-3)) > ASTRAY:
-        return None
-    circle = 2 * np.floor(points[upright, 2] / SLICE).astype(int) + ((inward * away).sum(1) > 0)
-    circle -= circle.min()
-    axis = _middle_of_circles(place, circle, axis)
-    radius = np.hypot(*(place - axis).T)
-    limit = max(SPREAD[0], SPREAD[1] * median(radius))
-    return axis if median(np.abs(_off(radius, circle))) < limit else None
-
-
-def _meeting_place(across: np.ndarray, offset: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """The place (2,) that most of the lines across . p = offset, (N, 2) and (N,), come near to; weight: (N,)
-    of each."""
-    axis = _solved(across, offset, weight)
-    for _ in range(ROUNDS):
-        missed = np.abs(offset - (across[:, 0] * axis[0] + across[:, 1] * axis[1]))
-        axis = _solved(across, offset, weight / (1 + (missed / max(median(missed), 1e-4)) ** 2))
-    return np.array(axis)
+    place = points[upright].astype(np.float64)
+    steep = level[upright].astype(np.float64)
+    x, y = _axis(place, normals[upright, :2] / steep[:, None], steep**2)
+    return None if np.isnan(x) else np.array([x, y])
 
 
 @compiled
-def _solved(across: np.ndarray, offset: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
-    """The place that the lines come nearest to in the mean of squares."""
-    xx = xy = yy = x = y = 0.0
-    for i in range(len(offset)):
-        xx += weight[i] * across[i, 0] * across[i, 0]
-        xy += weight[i] * across[i, 0] * across[i, 1]
-        yy += weight[i] * across[i, 1] * across[i, 1]
-        x += weight[i] * across[i, 0] * offset[i]
-        y += weight[i] * across[i, 1] * offset[i]
-    return _solution(xx + 1e-9, xy, yy + 1e-9, x, y)
+def _axis(place: np.ndarray, inward: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
+    """The same for walls' points (N, 3) with level unit normals (N, 2), NaN where they are not round;
+    weight: (N,) of what the normals say."""
+    offset = inward[:, 0] * place[:, 1] - inward[:, 1] * place[:, 0]
+    axis = _meeting_place(inward, offset, weight)
+    missed, circle = np.empty(len(place)), np.empty(len(place), np.int64)
+    for i in range(len(place)):
+        x, y = place[i, 0] - axis[0], place[i, 1] - axis[1]
+        missed[i] = abs(inward[i, 0] * y - inward[i, 1] * x) / max(np.sqrt(x * x + y * y), 1e-3)
+        outer = inward[i, 0] * x + inward[i, 1] * y > 0
+        circle[i] = 2 * int(np.floor(place[i, 2] / SLICE)) + outer
+    if np.median(missed) > ASTRAY:
+        return np.nan, np.nan
+    circle -= circle.min()
+    axis = _middle_of_circles(place, circle, axis)
+    radius = _radii(place, axis)
+    limit = max(SPREAD[0], SPREAD[1] * np.median(radius))
+    return axis if np.median(np.abs(_off(radius, circle))) < limit else (np.nan, np.nan)
+
+
+@compiled
+def _meeting_place(inward: np.ndarray, offset: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
+    """The place that most of the lines along `inward` (N, 2) come near to, each at an `offset` (N,) from the
+    origin; weight: (N,) of each."""
+    missed = np.zeros(len(offset))
+    least = 1.0
+    axis = 0.0, 0.0
+    for _ in range(ROUNDS + 1):
+        xx = xy = yy = x = y = 0.0
+        for i in range(len(offset)):
+            across, along = -inward[i, 1], inward[i, 0]
+            w = weight[i] / (1 + (missed[i] / least) ** 2)
+            xx += w * across * across
+            xy += w * across * along
+            yy += w * along * along
+            x += w * across * offset[i]
+            y += w * along * offset[i]
+        axis = _solution(xx + 1e-9, xy, yy + 1e-9, x, y)
+        missed = np.abs(offset + inward[:, 1] * axis[0] - inward[:, 0] * axis[1])
+        least = max(np.median(missed), 1e-4)
+    return axis
 
 
 @compiled
@@ -80,32 +93,42 @@ def _solution(xx: float, xy: float, yy: float, x: float, y: float) -> tuple[floa
     return (yy * x - xy * y) / determinant, (xx * y - xy * x) / determinant
 
 
-def _middle_of_circles(place: np.ndarray, circle: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """The middle (2,), near `axis`, of circles about it through places (N, 2); circle: (N,) whose each is."""
+@compiled
+def _middle_of_circles(
+    place: np.ndarray, circle: np.ndarray, axis: tuple[float, float]
+) -> tuple[float, float]:
+    """The middle, near `axis`, of circles about it through places (N, 3); circle: (N,) whose each is."""
     for _ in range(ROUNDS):
-        away = place - axis
-        radius = np.hypot(away[:, 0], away[:, 1])
-        weight = 1 / (1 + (_off(radius, circle) / 0.002) ** 2)
-        axis = axis + _step(away, radius, weight, circle, np.zeros((4, circle.max() + 1)))
+        radius = _radii(place, axis)
+        weight = 1 / (1 + (_off(radius, circle) / CIRCLES_APART) ** 2)
+        step = _step(place, axis, radius, weight, circle)
+        axis = axis[0] + step[0], axis[1] + step[1]
     return axis
 
 
 @compiled
+def _radii(place: np.ndarray, axis: tuple[float, float]) -> np.ndarray:
+    """How far places (N, 3) are from the axis: (N,)."""
+    return np.sqrt((place[:, 0] - axis[0]) ** 2 + (place[:, 1] - axis[1]) ** 2)
+
+
+@compiled
 def _step(
-    away: np.ndarray, radius: np.ndarray, weight: np.ndarray, circle: np.ndarray, sums: np.ndarray
+    place: np.ndarray, axis: tuple[float, float], radius: np.ndarray, weight: np.ndarray, circle: np.ndarray
 ) -> tuple[float, float]:
-    """How far the middle of circles is from where it was looked for; sums: (4, circles) zeros."""
+    """How far the middle of circles is from where it was looked for."""
+    sums = np.zeros((4, circle.max() + 1))
     for i in range(len(radius)):
         least = max(radius[i], 1e-6)
-        sums[0, circle[i]] += weight[i] * (away[i, 0] / least)
-        sums[1, circle[i]] += weight[i] * (away[i, 1] / least)
+        sums[0, circle[i]] += weight[i] * ((place[i, 0] - axis[0]) / least)
+        sums[1, circle[i]] += weight[i] * ((place[i, 1] - axis[1]) / least)
         sums[2, circle[i]] += weight[i] * radius[i]
         sums[3, circle[i]] += weight[i]
     xx = xy = yy = x = y = total = 0.0
     for i in range(len(radius)):
         least, count = max(radius[i], 1e-6), max(sums[3, circle[i]], 1e-9)
-        u = away[i, 0] / least - sums[0, circle[i]] / count
-        v = away[i, 1] / least - sums[1, circle[i]] / count
+        u = (place[i, 0] - axis[0]) / least - sums[0, circle[i]] / count
+        v = (place[i, 1] - axis[1]) / least - sums[1, circle[i]] / count
         r = radius[i] - sums[2, circle[i]] / count
         xx += weight[i] * u * u
         xy += weight[i] * u * v
@@ -113,14 +136,24 @@ def _step(
         x += weight[i] * u * r
         y += weight[i] * v * r
         total += weight[i]
-    # Short arcs do not say how far away their middle is: there the normals' word stands.
-    return _solution(xx + 0.02 * total, xy, yy + 0.02 * total, x, y)
+    return _solution(xx + SHORT_ARC * total, xy, yy + SHORT_ARC * total, x, y)
 
 
+@compiled
 def _off(radius: np.ndarray, circle: np.ndarray) -> np.ndarray:
     """Radii (N,) less the middle one of their circle (N,), numbered from 0 on."""
-    count = np.bincount(circle)
-    order = np.lexsort((radius, circle))
-    # Where there is no circle of a number, that of another stands for it: nobody asks.
-    middle = radius[order][np.maximum(np.cumsum(count) - (count + 1) // 2, 0).clip(max=len(radius) - 1)]
+    ends = np.zeros(circle.max() + 2, np.int64)
+    for c in circle:
+        ends[c + 1] += 1
+    ends = np.cumsum(ends)
+    free, sorted_radii = ends.copy(), np.empty(len(radius))
+    for i in range(len(radius)):
+        sorted_radii[free[circle[i]]] = radius[i]
+        free[circle[i]] += 1
+    middle = np.zeros(len(ends) - 1)
+    for c in range(len(middle)):
+        own = sorted_radii[ends[c] : ends[c + 1]]
+        if len(own):
+            own.sort()
+            middle[c] = own[len(own) // 2]
     return radius - middle[circle]
