@@ -11,6 +11,7 @@ from perception.depth_edges import border_pairs, depth_jump
 from perception.joining import connected_pieces
 from perception.observation import SupportPlane
 from perception.quantiles import quantiles
+from perception.raised_parts import RING, raised_parts
 from perception.window import window_around
 
 OPEN_SHARE = 0.15
@@ -69,7 +70,28 @@ def _on_table(
     bottom = low & (height > -config.plane_threshold)
     if bottom.any():  # a mask may leak over the table's edge and be eroded where it meets the table
         low[bottom] = ~_enclosed(points, labels, pixels[bottom], camera, config)
+    if low.any():
+        usual = float(np.median(noise))
+        low[low] = ~_raised(points, labels, pixels[low], support, floor, usual, config)
     return low
+
+
+def _raised(
+    points: np.ndarray,
+    labels: np.ndarray,
+    low: np.ndarray,
+    support: SupportPlane,
+    floor: float,
+    noise: float,
+    config: PerceptionConfig,
+) -> np.ndarray:
+    """Which table-height pixels of a mask, flat indices (N,), stand out of the table around them: (N,)."""
+    mask = np.zeros(labels.shape, bool)
+    mask.reshape(-1)[low] = True
+    part = window_around(mask, RING)
+    heights = points[part] @ support.normal.astype(np.float32) + np.float32(support.offset - floor)
+    mask[part] = raised_parts(heights, mask[part], labels[part] == 0, noise, config.plane_threshold)
+    return mask.reshape(-1)[low]
 
 
 def _enclosed(

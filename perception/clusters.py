@@ -13,8 +13,8 @@ from perception.quantiles import column_quantiles
 
 PIECE_SHARE = 0.02
 """A piece parted from the main cluster must have this share of its pixels to be taken back."""
-COVERED_SHARE = 0.8
-"""Share of the gap between two pieces that something in front must cover."""
+COVERED_SHARE = 2 / 3
+"""Share of the gap between two pieces that something in front must cover: near its ends, pixels are mixed."""
 LEAK_SHARE = 0.3
 """A piece whose outer border runs on smoothly beyond the mask for more than this share is bleed."""
 NEAR_SHARE = 0.5
