@@ -27,17 +27,18 @@ from perception.views.joint import JointObservation
 from perception.views.joint_space import each_view, space_of
 from perception.views.observing_together import observe_together
 from reconstruction.config import PaperSamples, PipelineConfig
+from reconstruction.quiet import quiet_objects
 from reconstruction.samples.paper import draw_paper
+from reconstruction.samples.silent import keep_silent
 from reconstruction.samples.tabletop import draw_tabletop
 from reconstruction.samples.training_set import TrainingSet
 from reconstruction.surface.field import Field, evaluate_field
 from reconstruction.surface.joint_surface import JointSurface
 from reconstruction.surface.meshing import extract_mesh
 from reconstruction.surface.refined import values_at
-from reconstruction.surface.seen_surface import SeenSurface
-from reconstruction.surface.unchanged import unchanged
+from reconstruction.surface.seen_surface import SeenSurface, seen_by
 from reconstruction.surface.whole_shape import WholeShape, whole_shape
-from reconstruction.warm_start import Before, Surface
+from reconstruction.warm_start import SHAPES, Before, Surface
 
 OTHER_MARGIN = 0.03
 """Obstacles without a label are mapped this far around what is seen of them [m]."""
@@ -104,6 +105,8 @@ class FittedScene:
         settings = self.config.samples
         if isinstance(settings, PaperSamples):
             return draw_paper(settings, self.observation, self.space, self.rng)
+        if isinstance(self.observation, JointObservation):
+            keep_silent(self.observation.views[-1].observation, self.quiet)
         bodies = [None if shape is None else shape.depth_known for shape in self.shapes]
         return draw_tabletop(settings, self.observation, self.space, self.rng, bodies)
 
@@ -138,7 +141,7 @@ class FittedScene:
             mesh = self.config.mesh
             thinnest = mesh.spacing / mesh.fusion.refine
             return JointSurface.of(self.observation, self.floors, thinnest)
-        return SeenSurface.of(self.observation, self.frame.depth, self.floors)
+        return replace(seen_by(self.observation, self.frame.depth), floors=self.floors)
 
     @cached_property
     def shapes(self) -> list[WholeShape | None]:
@@ -152,10 +155,20 @@ class FittedScene:
         def bare(places: np.ndarray) -> np.ndarray:
             return np.all([beside_all_masks(*view, places) for view in views], axis=0)
 
+        before = self.before.shapes if self.before else {}
+        known = {label: shape for label, shape in before.items() if label in self.quiet}
+
         def look(index: int) -> WholeShape | None:
+            label = self.observation.objects[index].label
+            if label in known:
+                return known[label] and replace(known[label], edges=seen.edges(index))
             return whole_shape(seen.edges(index), self._points(index), fusion, bare)
 
-        return map_in_threads(look, range(len(self.observation.objects)))
+        found = map_in_threads(look, range(len(self.observation.objects)))
+        self.observation.memo[SHAPES, fusion] = {
+            item.label: shape for item, shape in zip(self.observation.objects, found)
+        }
+        return found
 
     def _points(self, index: int) -> np.ndarray:
         """What was measured of an object (N, 3) [m]; a surface seen several times is there once."""
@@ -168,7 +181,6 @@ class FittedScene:
     def meshes(self) -> list[Surface | None]:
         """The surface of each observed object, None where the map gives it no volume."""
         objects = self.observation.objects
-        kept = self._kept
 
         def extract(index: int) -> tuple[trimesh.Trimesh, np.ndarray] | None:
             points = self._points(index)
@@ -176,45 +188,33 @@ class FittedScene:
 
         # The largest first: no thread is to start with one when the others have ended.
         sizes = [odds.size for odds in self.field.log_odds]
-        asked = [index for index, item in enumerate(objects) if item.label not in kept]
+        asked = [index for index, item in enumerate(objects) if item.label not in self.quiet]
         order = sorted(asked, key=lambda index: -sizes[index])
         extracted = dict(zip(order, map_in_threads(extract, order)))
         surfaces = {index: found and Surface(*found) for index, found in extracted.items()}
         return [
-            surfaces[index] if index in surfaces else kept[item.label] for index, item in enumerate(objects)
+            surfaces[index] if index in surfaces else self._stays(index) for index in range(len(objects))
         ]
 
-    @property
-    def _kept(self) -> dict[int, Surface]:
-        """Surfaces of the earlier map that stay, by label: no new view says anything of them, or nothing that
-        would move them."""
+    @cached_property
+    def quiet(self) -> frozenset[int]:
+        """Labels of objects of which the latest view says nothing that the earlier map did not know: their
+        surfaces stay, and so does what shape they are."""
         if self.before is None:
-            return {}
-        kept = {label: self.before.surfaces[label] for label in self.before.kept}
-        for index, item in enumerate(self.observation.objects):
-            surface = self.before.surfaces.get(item.label)
-            if surface is not None and item.label not in kept and self._stays(index, surface):
-                kept[item.label] = self._with_field(index, surface)
-        return kept
+            return frozenset()
+        seen, observation = self.seen, self.observation
+        if not isinstance(seen, JointSurface) or self.config.mesh.max_uncertainty is not None:
+            return self.before.kept
+        assert isinstance(observation, JointObservation)
+        return self.before.kept | quiet_objects(observation, seen, self.before)
 
-    def _stays(self, index: int, surface: Surface) -> bool:
-        """Whether the latest view leaves the surface of an object of several views where it is."""
-        seen, mesh, before = self.seen, self.config.mesh, surface.field
-        if not isinstance(seen, JointSurface) or before is None or mesh.max_uncertainty is not None:
-            return False
-        assert isinstance(self.observation, JointObservation)
-        edges, label = seen.edges(index), self.observation.objects[index].label
-        latest = self.observation.views[-1].observation.objects
-        points = [item.points for item in latest if item.label == label]
-        few = np.concatenate([np.empty((0, 3), np.float32), *points])
-        few = few[first_in_cells(few, seen.thinnest)]
-        inside = before.origin, before.occupancy > 0.5
-        wall = mesh.fusion.wall
-        return unchanged(surface.mesh, inside, self.field, index, edges, edges.views[-1], few, wall)
-
-    def _with_field(self, index: int, surface: Surface) -> Surface:
-        """A surface that stays, as uncertain as the map is now."""
-        field = self.field
+    def _stays(self, index: int) -> Surface:
+        """The surface that an object had in the earlier map, as uncertain as the map is now."""
+        assert self.before is not None
+        field, label = self.field, self.observation.objects[index].label
+        surface = self.before.surfaces[label]
+        if label in self.before.kept:
+            return surface
         window = field.windows[index]
         nodes = (np.asarray(surface.mesh.vertices) - field.corner(window)) / field.spacing
         uncertainty = np.clip(values_at(field.uncertainty[window], nodes), 0, 1)

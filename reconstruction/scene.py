@@ -27,7 +27,7 @@ from reconstruction.pictures.palette import paint
 from reconstruction.result import ObjectField, OtherObstacles, ReconstructedObject, Reconstruction
 from reconstruction.surface.field import Field, overlap, window_of, within
 from reconstruction.surface.parts import SEEN_POINTS
-from reconstruction.warm_start import Before, Surface
+from reconstruction.warm_start import SHAPES, Before, Surface
 
 STAGES = {
     "observation": "observe",
@@ -92,7 +92,8 @@ def update(
     numbers = {view.number for view in known}
     new = [view.observation for view in joint.views if view.number not in numbers]
     surfaces = _surfaces(result)
-    before = Before(result.map, result.map_labels, surfaces, _untouched(surfaces, new, config))
+    shapes = seen.memo.get((SHAPES, config.mesh.fusion), {})
+    before = Before(result.map, result.map_labels, surfaces, _untouched(surfaces, new, config), shapes)
     scene = FittedScene(result.frame, config, generator(result.seed), result.seed, given=joint, before=before)
     updated = _clocked(scene)
     return replace(updated, notes=tuple(dict.fromkeys([*result.notes, *updated.notes])))
@@ -128,7 +129,9 @@ def _untouched(
 def _first_view(frame: Frame, observation: Observation) -> View:
     """A single frame as the first of several views."""
     names = {item.label: item.name for item in observation.objects}
-    return View(*relabelled(frame, observation, {label: label for label in names}, names), 1)
+    view = View(*relabelled(frame, observation, {label: label for label in names}, names), 1)
+    view.observation.memo.update(observation.memo)  # the same objects in the same places
+    return view
 
 
 def _clocked(scene: FittedScene) -> Reconstruction:

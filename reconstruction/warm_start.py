@@ -17,7 +17,10 @@ from mapping.contramap import ContraMap
 from perception.observation import NOTHING, OTHER
 from reconstruction.result import ObjectField
 from reconstruction.samples.training_set import TrainingSet
+from reconstruction.surface.whole_shape import WholeShape
 
+SHAPES = "shapes"
+"""Entry of an observation's memo, with the settings they were looked for by: shapes by label."""
 SAME = 1e-4
 """Hinge points of one width this near to each other are the same [m]: they lie on lattices of one origin."""
 
@@ -35,12 +38,14 @@ class Surface:
 @dataclass(frozen=True)
 class Before:
     """A map that was fitted before. labels: of its columns, as Reconstruction.map_labels. surfaces: of its
-    objects, by label; kept: those of them that stay as they are, no view being new to them."""
+    objects, by label; kept: those of them that stay as they are, no view being new to them; shapes: that
+    they were found to have, as far as they were looked for."""
 
     map: ContraMap
     labels: tuple[int, ...]
     surfaces: Mapping[int, Surface] = field(default_factory=dict)
     kept: frozenset[int] = frozenset()
+    shapes: Mapping[int, WholeShape | None] = field(default_factory=dict)
 
     def weights(self, training: TrainingSet, labels: Sequence[int]) -> np.ndarray:
         """(H, C+1) float32: the earlier weights of each hinge point and class; 0 for new ones.

