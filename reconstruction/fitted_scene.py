@@ -161,7 +161,8 @@ class FittedScene:
         def look(index: int) -> WholeShape | None:
             label = self.observation.objects[index].label
             if label in known:
-                return known[label] and replace(known[label], edges=seen.edges(index))
+                shape = known[label]
+                return None if shape is None else replace(shape, edges=seen.edges(index))
             return whole_shape(seen.edges(index), self._points(index), fusion, bare)
 
         found = map_in_threads(look, range(len(self.observation.objects)))
@@ -192,9 +193,7 @@ class FittedScene:
         order = sorted(asked, key=lambda index: -sizes[index])
         extracted = dict(zip(order, map_in_threads(extract, order)))
         surfaces = {index: found and Surface(*found) for index, found in extracted.items()}
-        return [
-            surfaces[index] if index in surfaces else self._stays(index) for index in range(len(objects))
-        ]
+        return [surfaces[index] if index in surfaces else self._stays(index) for index in range(len(objects))]
 
     @cached_property
     def quiet(self) -> frozenset[int]:

@@ -107,8 +107,8 @@ def hidden_labels(
     """What probably fills hidden points: (N, K+1) float32 over {empty, object 1..K}, K observed objects.
 
     points: (N, 3) [m] in the table frame, behind what is seen. only: objects that the prior that comes with
-    the project is asked about, the others are taken to be absent; None: all. Needs a support plane: without one nothing
-    says which way is up, and every row gives all classes the same share.
+    the project is asked about, the others are taken to be absent; None: all. Needs a support plane: without
+    one nothing says which way is up, and every row gives all classes the same share.
     """
     if observation.support is None:
         count = len(observation.objects) + 1

@@ -92,8 +92,8 @@ def with_feet(
 ) -> None:
     """Give objects that lack a foot one in the guess (N, K+1) at hidden points (N, 3), in place.
 
-    views: each with its space; labels: of the K objects. What most views of an object cannot see may be there;
-    the view that sees most far down says where.
+    views: each with its space; labels: of the K objects. A foot that most views of an object cannot see may
+    be there; the view that sees farthest down says where.
     """
     lacking = []
     for own, label in enumerate(labels, start=1):
@@ -106,7 +106,9 @@ def with_feet(
         blind = [one for one in seeing if may_lack_foot(views[one[1]][0].objects[one[2]], *views[one[1]])]
         if len(seeing) < 2 * len(blind):
             # It lies on what all of them see it lie on.
-            beds = [bed_height(views[number][0], views[number][0].objects[index]) for _, number, index in blind]
+            beds = [
+                bed_height(views[number][0], views[number][0].objects[index]) for _, number, index in blind
+            ]
             known = [bed for bed in beds if bed is not None]
             lacking.append((*min(seeing), own, min(known) if len(known) == len(beds) else None))
     for _, number, index, own, bed in sorted(lacking, key=lambda found: found[0]):

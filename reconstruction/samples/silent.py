@@ -1,4 +1,4 @@
-"""Which views are not asked what is hidden of which objects: they said nothing new of them when they were added.
+"""Which views are not asked what is hidden of which objects: those that said nothing new of them.
 
 What they measured counts as any view's does; only their guesses, which those of earlier views stand for, do
 not. Knows observations of single views; knows nothing of how it is found that one says nothing new.

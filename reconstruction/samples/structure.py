@@ -93,7 +93,9 @@ def _all_views(
     silent = silent_in([seen for seen, _ in views])
     # Objects about which the same views are asked share what weight is enough.
     groups = {own: number for number, own in enumerate(dict.fromkeys(silent.values()))}
-    enough = np.array([LEAST_SHARE * known[[v not in own for v in range(len(views))]].max(0) for own in groups])
+    enough = np.array(
+        [LEAST_SHARE * known[[v not in own for v in range(len(views))]].max(0) for own in groups]
+    )
     for number, ((seen, space), weight) in enumerate(zip(views, known)):
         loud = [k for k, item in enumerate(seen.objects) if number not in silent[item.label]]
         group = np.array([groups[silent[seen.objects[k].label]] for k in loud], np.int64)
