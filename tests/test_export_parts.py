@@ -5,8 +5,9 @@ import pytest
 import trimesh
 
 from reconstruction.export.apart import GAP, below, kept_apart, overlap
-from reconstruction.export.balance import balanced, resting_points
+from reconstruction.export.balance import ENOUGH, balanced
 from reconstruction.export.collision import ConvexParts
+from reconstruction.export.contacts import Contacts, contacts_of
 from reconstruction.export.cutting import Cutter, solid_of
 from reconstruction.export.footing import PATCH, with_footing
 from reconstruction.export.hulls import convex_hull
@@ -123,24 +124,51 @@ def test_flat_things_keep_their_parts_when_they_get_their_foot():
 
 
 def test_a_centre_of_mass_outside_of_its_ground_is_moved_over_it_and_no_other():
-    square = np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]], float)
+    square = Contacts.upwards(np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]], float))
     inside = np.array([0.05, 0.04, 0.03])
-    assert np.array_equal(balanced(inside, square, 0.15), inside)
+    assert np.array_equal(balanced(inside, square, 0.15).centre, inside)
+    assert balanced(inside, square, 0.15).room == pytest.approx(ENOUGH)
     moved = balanced(np.array([0.105, 0.05, 0.03]), square, 0.15)
-    assert moved == pytest.approx([0.05 + 0.5 * 0.05, 0.05, 0.03])
+    assert moved.centre == pytest.approx([0.1 - ENOUGH, 0.05, 0.03])
+    assert moved.steady
     far = np.array([0.15, 0.05, 0.03])
-    assert np.array_equal(balanced(far, square, 0.15), far)
-    assert balanced(far, square, 0.3) == pytest.approx([0.075, 0.05, 0.03])
-    assert np.array_equal(balanced(far, square[:2], 0.3), far)  # on an edge: no ground
+    assert not balanced(far, square, 0.15).steady
+    assert np.array_equal(balanced(far, square, 0.15).centre, far)
+    assert balanced(far, square, 0.3).centre == pytest.approx([0.1 - ENOUGH, 0.05, 0.03])
+    edge = Contacts(square.places[:2], square.pushes[:2])
+    assert not balanced(np.array([0.05, 0.01, 0.03]), edge, 0.15).steady
+    assert balanced(inside, Contacts(np.zeros((0, 3)), np.zeros((0, 3))), 0.15).room < 0
+
+
+def test_a_leaning_board_is_held_by_what_it_leans_on_and_by_friction():
+    foot = Contacts.upwards(np.array([[0, -0.05, 0], [0, 0.05, 0]], float))
+    wall = Contacts(np.array([[0.03, -0.05, 0.1], [0.03, 0.05, 0.1]]), np.tile([-1.0, 0, 0], (2, 1)))
+    centre = np.array([0.015, 0, 0.05])
+    assert balanced(centre, foot.joined(wall), 0.1).steady
+    assert not balanced(centre, foot, 0.1).steady
+    behind = Contacts(wall.places, -wall.pushes)  # it pushes the board over
+    assert not balanced(centre, foot.joined(behind), 0.05).steady
+    wedge = Contacts(
+        np.array([[0.05, 0, 0.05], [-0.05, 0, 0.05]]), np.array([[-0.98, 0, 0.2], [0.98, 0, 0.2]])
+    )
+    assert balanced(np.array([0, 0, 0.05]), wedge, 0.1).room < 0  # it would slip
+    # A touch at one side alone does not widen a narrow foot.
+    beside = Contacts(np.array([[0.0, 0.05, 0.1]]), np.array([[0, -1.0, 0]]))
+    assert not balanced(centre, foot.joined(beside), 0.1).steady
 
 
 def test_what_hovers_a_little_gets_feet_down_to_the_support_where_it_is_lowest():
-    legs = [box((0.02, 0.02, 0.05), (x, 0, 0.03)) for x in (-0.04, 0.04)]  # their lowest points at z = 5 mm
-    top = box((0.1, 0.02, 0.01), (0, 0, 0.06))
+    legs = [box((0.02, 0.02, 0.05), (x, 0, 0.027)) for x in (-0.04, 0.04)]  # their lowest points at z = 2 mm
+    top = box((0.1, 0.02, 0.01), (0, 0, 0.057))
     solid = trimesh.boolean.union([*legs, top])
     footed = with_footing(ConvexParts((*legs, top), solid), solid, 0.0)
     lows = sorted(part.bounds[0, 2] for part in footed.parts)
-    assert lows == pytest.approx([0, 0, 0.055])
+    assert lows == pytest.approx([0, 0, 0.052])
+    assert footed.error_m == pytest.approx(0.002, abs=1e-4)
+    assert with_footing(ConvexParts((*legs, top), solid), solid, -0.002).parts == (
+        *legs,
+        top,
+    )  # blocks do that
     assert with_footing(ConvexParts((*legs, top), solid), solid, -0.01).parts == (*legs, top)
 
 
@@ -152,12 +180,16 @@ def test_a_part_too_round_for_a_foot_stands_on_a_foot_of_its_own():
     assert cut.error_m < 3e-3
 
 
-def test_things_rest_on_the_support_and_on_what_is_below_or_beside_them():
+def test_things_touch_the_support_and_what_is_below_or_beside_them():
     table_box, upper = box((0.1, 0.1, 0.1), (0, 0, 0.05)), box((0.1, 0.1, 0.1), (0.05, 0, 0.152))
     objects = {1: (table_box,), 2: (upper,)}
-    assert set(np.round(resting_points(1, objects, 0.0, 0.05)[:, 2], 3)) == {0.0}
-    resting = resting_points(2, objects, 0.0, 0.15)
-    assert len(resting)
-    assert set(np.round(resting[:, 2], 3)) == {0.1, 0.102}
-    assert resting[:, 0].min() == pytest.approx(0.0)
-    assert len(resting_points(2, {2: (upper,)}, 0.0, 0.15)) == 0
+    ground = contacts_of(1, objects)
+    assert set(np.round(ground.places[:, 2], 3)) == {0.0}  # what lies on it pushes it down
+    resting = contacts_of(2, objects)
+    assert set(np.round(resting.places[:, 2], 3)) == {0.1, 0.102}
+    assert resting.places[:, 0].min() == pytest.approx(0.0)
+    assert np.allclose(resting.pushes, [0, 0, 1])
+    beside = contacts_of(2, {1: (table_box,), 2: (box((0.1,) * 3, (0.102, 0, 0.06)),)})
+    assert len(beside.places)
+    assert np.allclose(beside.pushes, [1, 0, 0])
+    assert len(contacts_of(2, {2: (upper,)}).places) == 0

@@ -11,6 +11,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import trimesh
 
+from perception.camera import invert_rigid
+from reconstruction.export.export_object import moved
 from reconstruction.export.hulls import convex_hull
 
 GAP = 0.002
@@ -34,6 +36,18 @@ def kept_apart(objects: Mapping[int, Parts]) -> dict[int, Parts]:
     }
 
 
+def meshes_beside(
+    meshes: Sequence[trimesh.Trimesh], poses: Sequence[np.ndarray]
+) -> list[list[trimesh.Trimesh]]:
+    """For each of meshes with poses (4, 4) those others whose boxes meet its own, in its frame."""
+    around = boxes([moved(mesh, pose) for mesh, pose in zip(meshes, poses)])
+    meet = ((around[:, None, 0] < around[:, 1]) & (around[:, 0] < around[:, None, 1])).all(-1)
+    return [
+        [moved(meshes[j], invert_rigid(pose) @ poses[j]) for j in np.flatnonzero(meet[i]) if j != i]
+        for i, pose in enumerate(poses)
+    ]
+
+
 def _separate(first: list, second: list, one: np.ndarray, two: np.ndarray) -> None:
     """Cut the parts of two objects where they overlap, in place; what is lost whole becomes None.
 
@@ -53,18 +67,20 @@ def _separate(first: list, second: list, one: np.ndarray, two: np.ndarray) -> No
         second[j] = below(second[j], -normal, -middle - GAP / 2)
 
 
-def boxes(parts: Sequence[trimesh.Trimesh | None]) -> np.ndarray:
-    """(N, 2, 3) [m]: corners low, high of each part; those of a lost one hold nothing."""
-    nothing = np.array([[np.inf] * 3, [-np.inf] * 3])
-    return np.array([nothing if part is None else part.bounds for part in parts]).reshape(-1, 2, 3)
+def boxes(parts: Sequence[trimesh.Trimesh]) -> np.ndarray:
+    """(N, 2, 3) [m]: corners low, high of each part."""
+    corners = [np.asarray(part.vertices) for part in parts]
+    return np.array([[points.min(0), points.max(0)] for points in corners]).reshape(-1, 2, 3)
 
 
-def overlap(first: trimesh.Trimesh, second: trimesh.Trimesh) -> tuple[np.ndarray, float, float] | None:
+def overlap(
+    first: trimesh.Trimesh, second: trimesh.Trimesh, gap: float = GAP
+) -> tuple[np.ndarray, float, float] | None:
     """A direction n (3,) along which two convex meshes overlap least, of their faces' normals: the second
-    begins at n x = low and the first ends at n x = high > low - GAP [m]. None when one of them parts the two
-    by GAP."""
+    begins at n x = low and the first ends at n x = high > low - gap [m]. None when one of them parts the two
+    by `gap`."""
     (low, high), (other_low, other_high) = first.bounds, second.bounds
-    if (low >= other_high + GAP).any() or (other_low >= high + GAP).any():
+    if (low >= other_high + gap).any() or (other_low >= high + gap).any():
         return None
     a, b = np.asarray(first.vertices), np.asarray(second.vertices)
     normals = np.concatenate([first.face_normals, -second.face_normals, np.eye(3), -np.eye(3)])
@@ -72,7 +88,7 @@ def overlap(first: trimesh.Trimesh, second: trimesh.Trimesh) -> tuple[np.ndarray
     ends, begins = (normals @ a.T).max(1), (normals @ b.T).min(1)
     depth = ends - begins
     best = int(depth.argmin())
-    if depth[best] <= -GAP + 1e-9:
+    if depth[best] <= -gap + 1e-9:
         return None
     return normals[best], float(begins[best]), float(ends[best])
 

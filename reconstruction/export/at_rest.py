@@ -7,44 +7,52 @@ nothing of formats.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from reconstruction.export.apart import Parts
-from reconstruction.export.balance import FOOT, balanced, extent_of, resting_points, well_within
+from reconstruction.export.balance import balanced
+from reconstruction.export.contacts import Contacts, contacts_of, corners_of
 from reconstruction.export.unseen_support import Block, unseen_support
 
-Supports = Mapping[int, tuple[Block, ...]]
+
+@dataclass(frozen=True)
+class AtRest:
+    """centres: label -> centre of mass (3,) [m], moved to where the object does not fall from where it was
+    seen. supports: label -> blocks below each object that the ground, and what it leans on, do not hold."""
+
+    centres: Mapping[int, np.ndarray]
+    supports: Mapping[int, tuple[Block, ...]]
 
 
-def unseen_supports(
+def at_rest(
     objects: Mapping[int, Parts],
     centres: Mapping[int, np.ndarray],
     is_free: Callable[[np.ndarray], np.ndarray],
-) -> dict[int, tuple[Block, ...]]:
-    """Label -> blocks below each object that stands on nothing known, or is not in balance there.
+) -> AtRest:
+    """What keeps objects where they were seen.
 
-    is_free: which of points (N, 3) [m] were seen to be empty.
+    objects: label -> convex parts; centres: of mass, of an even density. is_free: which of points (N, 3) [m]
+    were seen to be empty. What lies on other objects gets blocks where there is room for them: the others
+    may move as they settle, and none touches it before that.
     """
-    found = {}
+    moved, supports = {}, {}
     for label, centre in centres.items():
-        resting = resting_points(label, objects, 0.0, centre[2])
-        stands = bool((resting[:, 2] < FOOT).any())
-        if stands and well_within(balanced(centre, resting, extent_of(objects[label])), resting):
-            continue
-        others = [parts for other, parts in objects.items() if other != label]
-        if blocks := unseen_support(objects[label], others, centre, is_free):
-            found[label] = blocks
-    return found
-
-
-def held_centres(
-    objects: Mapping[int, Parts], centres: Mapping[int, np.ndarray], supports: Supports
-) -> dict[int, np.ndarray]:
-    """Label -> centre of mass (3,) [m], moved to where the object does not fall from where it was seen."""
-    found = {}
-    for label, centre in centres.items():
-        held = [block.corners for block in supports.get(label, ())]
-        resting = np.concatenate([resting_points(label, objects, 0.0, centre[2]), *held])
-        found[label] = balanced(centre, resting, extent_of(objects[label]))
-    return found
+        corners = corners_of(objects[label])
+        extent = float(np.linalg.norm(np.ptp(corners[:, :2], axis=0)))
+        contacts = contacts_of(label, objects)
+        fixed = contacts.none_but_ground_carries()
+        found = balanced(centre, fixed, extent)
+        if not found.steady:
+            others = [parts for other, parts in objects.items() if other != label]
+            if blocks := unseen_support(objects[label], others, centre, is_free):
+                supports[label] = blocks
+                tops = [block.corners[block.corners[:, 2] > block.centre[2]] for block in blocks]
+                held = Contacts.upwards(np.concatenate(tops))
+                fixed, contacts = fixed.joined(held), contacts.joined(held)
+                found = balanced(centre, fixed, extent)
+        if not found.steady:
+            found = balanced(centre, contacts, extent)
+        moved[label] = found.centre
+    return AtRest(moved, supports)

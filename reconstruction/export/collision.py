@@ -32,7 +32,7 @@ from reconstruction.export.tips import tips
 from reconstruction.solid import Solid
 
 Cutter = Literal["halves", "coacd"]
-VERSION = "4"
+VERSION = "5"
 """Changes when the same mesh would be cut differently by this code."""
 
 
@@ -43,7 +43,7 @@ class CollisionConfig:
     cutter: Cutter = "halves"
     """What makes the first, coarse cuts: halvings as all later ones, or CoACD, which takes half as long again
     and leaves as many parts (1624 and 1555 of 19 objects)."""
-    bulge: float = 0.0025
+    bulge: float = 0.0027
     """A part that reaches further out of the mesh than this is halved, and what of the mesh is further than
     this from any part becomes one [m]."""
     simplify: float = 0.0009
@@ -69,14 +69,15 @@ class ConvexParts:
     """Convex hulls whose union stands for a mesh, in the mesh's frame.
 
     parts: closed meshes [m]. mesh: what they stand for. note: why they are coarser than asked for, or "".
-    missing_m, excess_m: largest distance [m] from the
-    mesh's surface to the parts, and of the parts' surface from within the mesh, over the sampled points of
-    parts_error; worked out when first asked for.
+    cut: what the mesh was cut into, where these differ from it on purpose. missing_m, excess_m: largest
+    distance [m] from the mesh's surface to the parts, and of the parts' surface from within the mesh, over
+    the sampled points of parts_error; worked out when first asked for.
     """
 
     parts: tuple[trimesh.Trimesh, ...]
     mesh: trimesh.Trimesh
     note: str = ""
+    cut: ConvexParts | None = None
 
     @cached_property
     def _errors(self) -> tuple[float, float]:
@@ -100,10 +101,12 @@ def convex_parts(
     config: CollisionConfig | None = None,
     done: Callable[[], None] = lambda: None,
     workers: int | None = None,
+    beside: Sequence[Sequence[trimesh.Trimesh]] | None = None,
 ) -> list[ConvexParts]:
     """Convex parts of each closed mesh [m]; `done` is called after each.
 
-    workers: processes that cut at a time; one a core by default. The parts do not depend on it.
+    workers: processes that cut at a time; one a core by default. The parts do not depend on it. beside: for
+    each mesh those that may reach into it, in its frame: there its parts bulge less.
     """
     config = config or CollisionConfig()
     workers = max(1, min(len(meshes), workers or os.cpu_count() or 1))
@@ -111,10 +114,10 @@ def convex_parts(
     for _ in range(workers):
         idle.put(CutProcess())
 
-    def one(mesh: trimesh.Trimesh) -> ConvexParts:
+    def one(number: int) -> ConvexParts:
         process = idle.get()
         try:
-            return _parts_of(mesh, config, process)
+            return _parts_of(meshes[number], config, process, beside[number] if beside else ())
         finally:
             idle.put(process)
             done()
@@ -123,22 +126,25 @@ def convex_parts(
         # The largest first: the last one to finish decides.
         order = sorted(range(len(meshes)), key=lambda i: -len(meshes[i].faces))
         with ThreadPoolExecutor(workers) as pool:
-            found = dict(zip(order, pool.map(lambda i: one(meshes[i]), order)))
+            found = dict(zip(order, pool.map(one, order)))
     finally:
         for _ in range(workers):
             idle.get().close()
     return [found[i] for i in range(len(meshes))]
 
 
-def _parts_of(mesh: trimesh.Trimesh, config: CollisionConfig, process: CutProcess) -> ConvexParts:
-    path = _cached_path(mesh, config)
+def _parts_of(
+    mesh: trimesh.Trimesh, config: CollisionConfig, process: CutProcess, beside: Sequence[trimesh.Trimesh]
+) -> ConvexParts:
+    path = _cached_path([mesh, *beside], config)
     points, note = _read(path), ""
     if points is None:
         solid, hull = Solid(mesh), mesh.convex_hull
-        if bulges(surfaces([hull]), solid)[0][0] <= config.convex_within:
+        others = [Solid(other) for other in beside]
+        if bulges(surfaces([hull]), solid, config.convex_within, others)[0][0] <= config.convex_within:
             parts = [hull]
         else:
-            parts, note = _cut(mesh, solid, config, process)
+            parts, note = _cut(mesh, solid, config, process, others)
         points = [np.asarray(part.vertices) for part in parts]
         if not note:  # what failed this time, on a busy machine perhaps, is not kept
             _write(path, points)
@@ -147,14 +153,18 @@ def _parts_of(mesh: trimesh.Trimesh, config: CollisionConfig, process: CutProces
 
 
 def _cut(
-    mesh: trimesh.Trimesh, solid: Solid, config: CollisionConfig, process: CutProcess
+    mesh: trimesh.Trimesh,
+    solid: Solid,
+    config: CollisionConfig,
+    process: CutProcess,
+    beside: Sequence[Solid],
 ) -> tuple[list[trimesh.Trimesh], str]:
     """Convex parts, and why they are not as they were asked for, "" when they are."""
 
     def finished(
         begun: Sequence[Surface], halve: Callable[..., list[list[Surface]]]
     ) -> list[trimesh.Trimesh]:
-        parts = refined(begun, solid, halve, config.bulge)
+        parts = refined(begun, solid, halve, config.bulge, beside)
         return parts + tips(mesh, parts, config.bulge)
 
     halved: dict[str, Any] = {"coacd": None, "simplify": config.simplify}
@@ -190,10 +200,11 @@ def _coacd(config: CollisionConfig) -> dict[str, Any]:
     }
 
 
-def _cached_path(mesh: trimesh.Trimesh, config: CollisionConfig) -> Path:
+def _cached_path(meshes: Sequence[trimesh.Trimesh], config: CollisionConfig) -> Path:
     digest = hashlib.sha256(repr((VERSION, sorted(asdict(config).items()))).encode())
-    digest.update(np.ascontiguousarray(mesh.vertices, np.float32).tobytes())
-    digest.update(np.ascontiguousarray(mesh.faces, np.int64).tobytes())
+    for mesh in meshes:
+        digest.update(np.ascontiguousarray(mesh.vertices, np.float32).tobytes())
+        digest.update(np.ascontiguousarray(mesh.faces, np.int64).tobytes())
     return cache_dir() / "coacd_parts" / f"{digest.hexdigest()[:32]}.npz"
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from perception.camera import invert_rigid, transform
-from reconstruction.export.export_scene import ExportScene, moved
+from reconstruction.export.export_object import moved
+from reconstruction.export.export_scene import ExportScene
 from reconstruction.export.virtual_views import render
 
 DENSITY = 4e5

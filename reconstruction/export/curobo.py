@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from reconstruction.export.export_scene import ExportObject, ExportScene
+from reconstruction.export.export_object import ExportObject
+from reconstruction.export.export_scene import ExportScene
 
 STATEMENT = {
     "frame": "world frame of the result (give the robot's base as cuRobo's world); vertices in each "

@@ -6,8 +6,8 @@ Knows a stored result; knows no format. What is costly is worked out when first 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, get_args
 
@@ -17,14 +17,18 @@ import trimesh
 from mapping.errors import ConfigError
 from perception.camera import invert_rigid, transform
 from perception.frame import Frame
-from reconstruction.export.apart import kept_apart
-from reconstruction.export.at_rest import held_centres, unseen_supports
+from reconstruction.export.apart import kept_apart, meshes_beside
+from reconstruction.export.at_rest import AtRest, at_rest
 from reconstruction.export.collision import CollisionConfig, ConvexParts, Cutter, convex_parts
+from reconstruction.export.export_object import ExportObject, moved
 from reconstruction.export.footing import with_footing
 from reconstruction.export.seen_free import seen_free
 from reconstruction.export.unseen_support import WHY, Block
 from reconstruction.files.result_folder import StoredResult
 from reconstruction.files.scene_json import OTHER_FOLDER, object_folder
+
+ALIKE = 0.003
+"""Parts no further from a mesh than this stand for it [m]."""
 
 
 @dataclass(frozen=True)
@@ -44,57 +48,6 @@ class ExportConfig:
     """What makes the first cuts into convex parts: halvings, or CoACD, which takes longer."""
     workers: int | None = None
     """Processes that cut objects at a time; None: one a core. The files do not depend on it."""
-
-
-@dataclass(frozen=True)
-class ExportObject:
-    """One object: mesh and solid [m] in the object's frame (origin in its box's centre, z up).
-
-    key: <label>_<name>, safe as a file and node name. mesh: the surface for the eye. solid: the surface that
-    collisions are taken from; the mesh itself unless it was inflated.
-    """
-
-    key: str
-    label: int
-    name: str
-    mesh: trimesh.Trimesh
-    solid: trimesh.Trimesh
-    T_world_object: np.ndarray
-    extents: np.ndarray
-
-    @property
-    def position(self) -> list[float]:
-        """Origin of the object's frame in the world [m]."""
-        return [float(value) for value in self.T_world_object[:3, 3]]
-
-    @cached_property
-    def quaternion_xyzw(self) -> list[float]:
-        """Unit quaternion x y z w of T_world_object, w >= 0."""
-        from scipy.spatial.transform import Rotation
-
-        values = Rotation.from_matrix(self.T_world_object[:3, :3]).as_quat(canonical=True)
-        return [float(value) for value in values]
-
-    @property
-    def quaternion_wxyz(self) -> list[float]:
-        """Unit quaternion w x y z of T_world_object, w >= 0."""
-        x, y, z, w = self.quaternion_xyzw
-        return [w, x, y, z]
-
-    def inertia(self, density: float) -> tuple[float, np.ndarray, np.ndarray]:
-        """Mass [kg], centre of mass (3,) [m] and inertia (3, 3) [kg m^2] about it, of an even density.
-
-        All in the object's frame.
-        """
-        volume, centre, tensor = self._moments
-        return density * volume, centre.copy(), density * tensor
-
-    @cached_property
-    def _moments(self) -> tuple[float, np.ndarray, np.ndarray]:
-        """The same of density 1."""
-        solid = self.mesh.copy()
-        solid.density = 1.0
-        return float(solid.mass), np.array(solid.center_mass), np.array(solid.moment_inertia)
 
 
 class ExportScene:
@@ -150,18 +103,29 @@ class ExportScene:
     def parts(self) -> dict[int, ConvexParts]:
         """Label -> convex parts [m] of the object's solid, in the object's frame."""
         solids, config = [item.solid for item in self.objects], CollisionConfig(self.config.cutter)
-        cut = convex_parts(solids, config, self._progress, self.config.workers)
+        beside = meshes_beside(solids, [self._poses[item.label] for item in self.objects])
+        cut = first = convex_parts(solids, config, self._progress, self.config.workers, beside)
         if self.support_found:
             heights = [self._support_height(item) for item in self.objects]
             cut = [with_footing(*of_one) for of_one in zip(cut, solids, heights)]
-        return self._apart({item.label: parts for item, parts in zip(self.objects, cut)})
+        apart = self._apart({item.label: parts for item, parts in zip(self.objects, cut)})
+        return {
+            item.label: replace(apart[item.label], cut=of_one) for item, of_one in zip(self.objects, first)
+        }
 
     @cached_property
-    def unseen_supports(self) -> dict[int, tuple[Block, ...]]:
+    def unseen_supports(self) -> Mapping[int, tuple[Block, ...]]:
         """Label -> blocks in the table frame that hold up an object which stands on nothing known."""
-        if not self.support_found:
-            return {}
-        return unseen_supports(self._placed(self.parts), self._even_centres, self._seen_free)
+        return self._at_rest.supports if self.support_found else {}
+
+    @cached_property
+    def _at_rest(self) -> AtRest:
+        """Of all objects, in the table frame."""
+        centres = {
+            item.label: transform(self._poses[item.label], item.inertia(1.0)[1][None])[0]
+            for item in self.objects
+        }
+        return at_rest(self._placed(self.parts), centres, self._seen_free)
 
     @cached_property
     def centres(self) -> dict[int, np.ndarray]:
@@ -171,10 +135,10 @@ class ExportScene:
         """
         if not self.support_found:
             return {item.label: item.inertia(self.config.density)[1] for item in self.objects}
-        held = held_centres(self._placed(self.parts), self._even_centres, self.unseen_supports)
         poses = self._poses
         return {
-            label: transform(invert_rigid(poses[label]), centre[None])[0] for label, centre in held.items()
+            label: transform(invert_rigid(poses[label]), centre[None])[0]
+            for label, centre in self._at_rest.centres.items()
         }
 
     def unseen_blocks(self, label: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -191,14 +155,6 @@ class ExportScene:
 
         x, y, z, w = Rotation.from_matrix(self.T_world_table[:3, :3]).as_quat(canonical=True)
         return np.array([w, x, y, z])
-
-    @cached_property
-    def _even_centres(self) -> dict[int, np.ndarray]:
-        """Label -> centre of mass (3,) [m] of an even density, in the table frame."""
-        return {
-            item.label: transform(self._poses[item.label], item.inertia(1.0)[1][None])[0]
-            for item in self.objects
-        }
 
     def _seen_free(self, points: np.ndarray) -> np.ndarray:
         """Which points (N, 3) [m, table frame] were seen to be empty: (N,) bool."""
@@ -260,22 +216,25 @@ class ExportScene:
     def collision_statement(self) -> dict[str, Any]:
         """Number of convex parts of each object and how far they are from its surface [mm].
 
-        centre_moved_mm: how far its centre of mass is from that of an even density, to keep it at rest. note:
-        why its parts are coarser than asked for, where they are.
+        decomposition_mm: the larger of both before parts got feet and those of neighbours were kept apart,
+        where it is more than ALIKE. centre_moved_mm: how far its centre of mass is from that of an even
+        density, to keep it at rest. note: why its parts are coarser than asked for, where they are.
         """
-        even = {item.label: item.inertia(self.config.density)[1] for item in self.objects}
-        return {
-            item.key: {
-                "parts": len(self.parts[item.label].parts),
-                "missing_mm": round(1e3 * self.parts[item.label].missing_m, 2),
-                "excess_mm": round(1e3 * self.parts[item.label].excess_m, 2),
-                "centre_moved_mm": round(
-                    1e3 * float(np.linalg.norm(self.centres[item.label] - even[item.label])), 2
-                ),
-                **({"note": note} if (note := self.parts[item.label].note) else {}),
+        found: dict[str, Any] = {}
+        for item in self.objects:
+            parts, even = self.parts[item.label], item.inertia(self.config.density)[1]
+            shift = float(np.linalg.norm(self.centres[item.label] - even))
+            found[item.key] = {
+                "parts": len(parts.parts),
+                "missing_mm": round(1e3 * parts.missing_m, 2),
+                "excess_mm": round(1e3 * parts.excess_m, 2),
+                "centre_moved_mm": round(1e3 * shift, 2),
             }
-            for item in self.objects
-        }
+            if parts.error_m > ALIKE and parts.cut is not None:
+                found[item.key]["decomposition_mm"] = round(1e3 * parts.cut.error_m, 2)
+            if parts.note:
+                found[item.key]["note"] = parts.note
+        return found
 
     def unseen_statement(self) -> dict[str, Any]:
         """Which objects stand on fixed blocks, how many, and why; {} before a format has asked for them."""
@@ -293,8 +252,3 @@ class ExportScene:
         from reconstruction.inflate import inflated_meshes
 
         return inflated_meshes(self.result, self.config.inflate)
-
-
-def moved(mesh: trimesh.Trimesh, T: np.ndarray) -> trimesh.Trimesh:
-    """A copy of a mesh under the rigid T (4, 4)."""
-    return trimesh.Trimesh(transform(T, np.asarray(mesh.vertices, float)), mesh.faces, process=False)

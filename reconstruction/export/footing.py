@@ -19,12 +19,14 @@ from reconstruction.export.refine import bulges
 from reconstruction.solid import Solid
 
 REACH = 0.008
-"""An object whose lowest point is this near the support stands on it [m]: undersides are never seen."""
+"""An object is cut off at a support that it reaches into by no more than this [m]: undersides are never
+seen."""
 PATCH = 0.0025
-"""All of the surface that is this near the lowest point, or the support, touches the support [m]: no more
-than the parts are wrong anyway."""
-BULGE = 0.0027
-"""A part that would reach further out of the mesh with its foot, beyond the gap below it, gets none [m]."""
+"""All of the surface that is this near the lowest point, or the support, touches the support [m], up to
+BULGE above it: no more than the parts are wrong anyway."""
+BULGE = 0.0029
+"""A part that would reach further out of the mesh with its foot gets none [m]. What hovers higher over the
+support gets blocks below it, which are no part of it (unseen_support)."""
 
 
 def with_footing(parts: ConvexParts, solid: trimesh.Trimesh, support: float) -> ConvexParts:
@@ -33,14 +35,14 @@ def with_footing(parts: ConvexParts, solid: trimesh.Trimesh, support: float) -> 
     All in a frame whose z axis is the support's normal. Objects that stand elsewhere stay as they are.
     """
     gap = float(solid.bounds[0, 2]) - support
-    if abs(gap) > REACH:
+    if not -REACH <= gap <= BULGE:
         return parts
-    near = max(gap, 0.0) + PATCH
+    near = min(max(gap, 0.0) + PATCH, BULGE)
     wanted = [part for part in parts.parts if part.bounds[0, 2] < support + near]
     whole = [_footed(np.asarray(part.vertices), support, near) for part in wanted]
     feet = [_foot(part, support, near) for part in wanted]
     body = Solid(solid)
-    fits = [_fits(of_one, body, near - PATCH + BULGE) for of_one in (whole, feet)]
+    fits = [_fits(of_one, body, BULGE) for of_one in (whole, feet)]
     found: list[trimesh.Trimesh | None] = []
     found += [part for part in parts.parts if part.bounds[0, 2] >= support + near]
     for number, part in enumerate(wanted):
@@ -57,7 +59,7 @@ def with_footing(parts: ConvexParts, solid: trimesh.Trimesh, support: float) -> 
 def _fits(parts: Sequence[trimesh.Trimesh | None], body: Solid, limit: float) -> list[bool]:
     """Which of the parts there are and reach out of the body by no more than `limit` [m]."""
     there = [part for part in parts if part is not None]
-    depths = iter(bulges(surfaces(there), body) if there else [])
+    depths = iter(bulges(surfaces(there), body, limit) if there else [])
     return [part is not None and next(depths)[0] <= limit for part in parts]
 
 

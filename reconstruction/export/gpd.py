@@ -10,7 +10,8 @@ import trimesh
 
 from mapping.errors import DataError
 from perception.camera import transform
-from reconstruction.export.export_scene import ExportScene, moved
+from reconstruction.export.export_object import moved
+from reconstruction.export.export_scene import ExportScene
 
 COARSEST = 1e-4
 """Largest step between numbers of single precision that a point may be rounded by [m]."""

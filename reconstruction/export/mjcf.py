@@ -7,7 +7,8 @@ from xml.etree import ElementTree as xml
 
 import numpy as np
 
-from reconstruction.export.export_scene import ExportObject, ExportScene
+from reconstruction.export.export_object import ExportObject
+from reconstruction.export.export_scene import ExportScene
 from reconstruction.files.mesh_files import encode_obj
 
 GRAVITY = 9.81
@@ -16,6 +17,9 @@ TURNING = 0.005
 """Friction against turning on the spot [m]."""
 CONTACT = "6"
 """MuJoCo's contacts that resist sliding, turning and rolling."""
+STIFF = "0.005 1"
+"""Time constant [s] and damping of MuJoCo's contacts. With its default of 0.02 s a body sinks in by half a
+millimetre, and what stands on less than a centimetre leans until it falls."""
 SEEN_GROUP, CONVEX_GROUP = "2", "3"
 """MuJoCo's viewer shows group 2 and hides group 3."""
 STATEMENT = {
@@ -56,6 +60,7 @@ def _support(world: xml.Element, scene: ExportScene) -> None:
         quat=_numbers(scene.table_wxyz),
         friction=_friction(scene),
         condim=CONTACT,
+        solref=STIFF,
     )
 
 
@@ -73,6 +78,7 @@ def _unseen_support(item: ExportObject, scene: ExportScene, world: xml.Element) 
             group=CONVEX_GROUP,
             friction=_friction(scene),
             condim=CONTACT,
+            solref=STIFF,
         )
 
 
@@ -122,6 +128,7 @@ def _body(
             group=CONVEX_GROUP,
             friction=_friction(scene),
             condim=CONTACT,
+            solref=STIFF,
         )
 
 

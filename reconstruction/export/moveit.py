@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from reconstruction.export.export_scene import ExportObject, ExportScene
+from reconstruction.export.export_object import ExportObject
+from reconstruction.export.export_scene import ExportScene
 from reconstruction.export.moveit_messages import encode, typestore
 
 ADD = 0

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from reconstruction.export.export_scene import ExportScene, moved
+from reconstruction.export.export_object import moved
+from reconstruction.export.export_scene import ExportScene
 from reconstruction.export.poses import write_poses
 from reconstruction.files.mesh_files import encode_obj
 

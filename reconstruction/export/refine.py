@@ -18,7 +18,14 @@ SPACING = 0.0025
 """Points looked at on a part are about this far apart [m], its vertices beside them."""
 SAMPLES = (60, 800)
 """At least and at most so many of them on a part."""
-ROUNDS = 12
+CLOSER, CLOSE_SAMPLES = 0.001, 1500
+"""The same, and at most so many on a part, on faces that bulge nearly as much as is allowed."""
+CROWDED = 0.0008
+"""Where another mesh is, a part bulges no further than this [m]: it would be cut off, and its mesh with
+it."""
+NEARLY = 0.0009
+"""A face that bulges by so much less than is allowed is looked at closer [m]."""
+ROUNDS = 30
 """Times that a part is halved at most."""
 MOST_PARTS = 400
 """Above this many parts none is cut any more: engines get slow."""
@@ -29,18 +36,19 @@ def refined(
     solid: Solid,
     halve: Callable[[Sequence[int], np.ndarray], list[list[Surface]]],
     limit: float,
+    beside: Sequence[Solid] = (),
 ) -> list[trimesh.Trimesh]:
     """Convex parts of a solid [m], halved until none bulges out of it by more than `limit` [m] where that can
     be had.
 
-    halve: as Cutter.halve, of a cutter that has these parts now.
+    halve: as Cutter.halve, of a cutter that has these parts now. beside: where those are it is CROWDED.
     """
     todo = list(parts)
     done: list[Surface] = []
     for _ in range(ROUNDS):
         if not todo or len(done) + len(todo) > MOST_PARTS:
             break
-        worst = bulges(todo, solid)
+        worst = bulges(todo, solid, limit, beside)
         wanted = [number for number, (depth, _) in enumerate(worst) if depth > limit]
         places = np.array([worst[number][1] for number in wanted], float).reshape(-1, 3)
         halves = halve(wanted, places) if wanted else []
@@ -50,33 +58,73 @@ def refined(
     return [as_mesh(part) for part in done + todo]
 
 
-def bulges(parts: Sequence[Surface], solid: Solid) -> list[tuple[float, np.ndarray]]:
-    """How far each convex part reaches out of the solid at most [m], and where (3,)."""
-    clouds = _points_on(parts)
+def bulges(
+    parts: Sequence[Surface], solid: Solid, limit: float = np.inf, beside: Sequence[Solid] = ()
+) -> list[tuple[float, np.ndarray]]:
+    """How far each convex part reaches out of the solid at most [m], and where (3,).
+
+    What seems to reach out by nearly `limit` [m], but not by more, is looked at closer. Where it is CROWDED
+    the depth is given in proportion: that counts as `limit`.
+    """
+    every = np.ones(sum(len(faces) for _, faces in parts), bool)
+    clouds = _points_on(parts, every, SPACING, SAMPLES)
+    depths = _depths([points for points, _ in clouds], solid, limit, beside)
+    found = [(float(own.max()), points[own.argmax()]) for own, (points, _) in zip(depths, clouds)]
+    near = [n for n, (depth, _) in enumerate(found) if limit - NEARLY < depth <= limit]
+    if near:
+        marks = []
+        for number in near:
+            (points, of_face), own = clouds[number], depths[number]
+            marks.append(np.zeros(len(parts[number][1]), bool))
+            marks[-1][of_face[own[len(points) - len(of_face) :] > limit - NEARLY]] = True
+        kept = [n for n, mark in zip(near, marks) if mark.any()]
+        marks = [mark for mark in marks if mark.any()]
+    if near and kept:
+        closer = _points_on(
+            [parts[n] for n in kept], np.concatenate(marks), CLOSER, (SAMPLES[0], CLOSE_SAMPLES)
+        )
+        depths = _depths([points for points, _ in closer], solid, limit, beside)
+        for number, own, (points, _) in zip(kept, depths, closer):
+            if own.max() > found[number][0]:
+                found[number] = (float(own.max()), points[own.argmax()])
+    return found
+
+
+def _depths(
+    clouds: Sequence[np.ndarray], solid: Solid, limit: float, beside: Sequence[Solid]
+) -> list[np.ndarray]:
+    """How far the points (N, 3) of each cloud are out of the solid [m], 0 within; as `bulges` says."""
     everything = np.concatenate(clouds)
     outside = ~solid.inside(everything)
     depth = np.zeros(len(everything))
     depth[outside] = solid.distance(everything[outside])
-    found = []
-    for cloud, own in zip(clouds, np.split(depth, np.cumsum([len(cloud) for cloud in clouds])[:-1])):
-        found.append((float(own.max()), cloud[own.argmax()]))
-    return found
+    for other in beside:
+        far = np.flatnonzero((depth > CROWDED) & (depth <= limit))
+        depth[far[other.inside(everything[far])]] *= limit / CROWDED
+    return np.split(depth, np.cumsum([len(cloud) for cloud in clouds])[:-1])
 
 
-def _points_on(parts: Sequence[Surface]) -> list[np.ndarray]:
-    """Vertices and evenly drawn surface points (N, 3) float32 [m] of each part."""
+def _points_on(
+    parts: Sequence[Surface], wanted: np.ndarray, spacing: float, samples: tuple[int, int]
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Vertices and points (N, 3) float32 [m] evenly drawn on those faces of each part that are `wanted`, of
+    all parts' faces one after another; and the face (M,) of its part that each drawn point is on."""
     # All drawn at once: hundreds of parts, and a mesh object each would take longer than the drawing.
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     faces = np.concatenate([faces + start for (_, faces), start in zip(parts, starts)])
-    of_face = np.repeat(np.arange(len(parts)), [len(faces) for _, faces in parts])
+    first_face = np.cumsum([0, *(len(faces) for _, faces in parts)])
+    of_face = np.repeat(np.arange(len(parts)), np.diff(first_face))
     whole = trimesh.Trimesh(np.concatenate([vertices for vertices, _ in parts]), faces, process=False)
-    area = np.bincount(of_face, whole.area_faces)
-    wanted = np.clip(area / SPACING**2, *SAMPLES)
-    weight = whole.area_faces * (wanted / area)[of_face]
-    drawn, on_face = trimesh.sample.sample_surface(whole, int(wanted.sum()), face_weight=weight, seed=0)
+    areas = whole.area_faces * wanted
+    area = np.bincount(of_face, areas, len(parts))
+    count = np.clip(area / spacing**2, *samples)
+    weight = areas * (count / np.maximum(area, 1e-18))[of_face]
+    drawn, on_face = trimesh.sample.sample_surface(whole, int(count.sum()), face_weight=weight, seed=0)
     order = np.argsort(of_face[on_face], kind="stable")
     ends = np.searchsorted(of_face[on_face][order], np.arange(1, len(parts)))
     return [
-        np.concatenate([vertices, points]).astype(np.float32)
-        for (vertices, _), points in zip(parts, np.split(drawn[order], ends))
+        (np.concatenate([vertices, points]).astype(np.float32), own - first_face[number])
+        for number, ((vertices, _), points, own) in enumerate(
+            zip(parts, np.split(drawn[order], ends), np.split(on_face[order], ends))
+        )
     ]

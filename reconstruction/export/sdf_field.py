@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from reconstruction.distance import DistanceField
-from reconstruction.export.export_scene import ExportScene, moved
+from reconstruction.export.export_object import moved
+from reconstruction.export.export_scene import ExportScene
 
 STATEMENT = {
     "frame": "lattice axes; node (i, j, k) lies at T_world_lattice @ (spacing * (i, j, k), 1) in the world "

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
-from reconstruction.export.apart import GAP, Parts, boxes, overlap
-from reconstruction.export.balance import well_within
+from reconstruction.export.apart import Parts, boxes, overlap
+from reconstruction.export.balance import STEADY, gathered, room_within
 from reconstruction.solid import Solid
 
 WHY = (
@@ -25,8 +25,13 @@ WIDTH, THICKNESS = 0.006, 0.01
 """Of a block at most [m]."""
 THIN = 0.003
 """Thickness of a block where there is no room for more [m]."""
-LEAST_THICKNESS = 0.001
-"""Of a block [m]: where there is less room, the support is as near."""
+BELOW = 0.0003
+"""Blocks end this far below the object's parts [m]: fixed as the support is, they may be as near."""
+CLEAR = 0.0012
+"""From other objects' parts [m]: pybullet lifts these by up to a millimetre, and nothing must press on them
+then."""
+LEAST_THICKNESS = 0.0005
+"""Of a block [m]: between parts of two objects, which are GAP from each other, there is room for it."""
 MOST = 12
 """Blocks below an object at most."""
 ACROSS = 5
@@ -72,7 +77,7 @@ def unseen_support(
     centre: np.ndarray,
     is_free: Callable[[np.ndarray], np.ndarray],
 ) -> tuple[Block, ...]:
-    """Blocks that end GAP below an object's underside, so that it rests on them and on what else it touches.
+    """Blocks that end BELOW an object's underside, so that it rests on them and on what else it touches.
 
     own: the object's convex parts; others: those of each other object; all in the table frame, where the
     support is z = 0. centre: (3,) the object's centre of mass. is_free: which of points (N, 3) were seen to
@@ -91,14 +96,23 @@ def unseen_support(
         return ()
     places = np.array([block.centre for block in found])
     tops = np.array([block.top for block in found])
-    chosen = np.arange(len(found))
-    # The lowest places that hold it: what is seen from above hangs over at its sides as well.
+    chosen = _lowest_that_hold(centre, places, tops)
+    return tuple(found[chosen[number]] for number in _spread(places[chosen, :2], centre[:2]))
+
+
+def _lowest_that_hold(centre: np.ndarray, places: np.ndarray, tops: np.ndarray) -> np.ndarray:
+    """Numbers of the lowest of places (N, 3) with heights `tops` (N,) that hold a centre of mass (3,) well;
+    where none do, of the lowest that leave it most room."""
+    # What is seen from above hangs over at its sides as well.
+    found, best = np.arange(len(tops)), -np.inf
     for level in np.arange(tops.min(), tops.max() + STEP, STEP):
         low = np.flatnonzero(tops <= level + STEP)
-        if well_within(centre, places[low]):
-            chosen = low
+        room = room_within(centre, gathered(places[low]))
+        if room > best:
+            found, best = low, room
+        if best >= STEADY:
             break
-    return tuple(found[chosen[number]] for number in _spread(places[chosen, :2], centre[:2]))
+    return found
 
 
 def _below(parts: Parts) -> list[Block]:
@@ -116,7 +130,7 @@ def _below(parts: Parts) -> list[Block]:
     rise = Solid(together).cast(places.reshape(-1, 3), up.reshape(-1, 3)).reshape(len(x), len(y))
     rise = rise.reshape(cells[0], ACROSS, cells[1], ACROSS).transpose(0, 2, 1, 3).reshape(*cells, -1)
     covered = np.isfinite(rise).mean(-1) >= 0.5
-    top = low[2] - WIDTH + rise.min(-1) - GAP
+    top = low[2] - WIDTH + rise.min(-1) - BELOW
     found = []
     for i, j in np.argwhere(covered & (top > LEAST_THICKNESS)):
         bottom = max(0.0, top[i, j] - THICKNESS)
@@ -127,14 +141,15 @@ def _below(parts: Parts) -> list[Block]:
 
 def _fitting(block: Block, around: Sequence[trimesh.Trimesh], limits: np.ndarray) -> Block | None:
     """The block, or its upper end, where no part of another object, in boxes (N, 2, 3), is nearer than
-    GAP."""
-    for fitting in (block, block.shortened(THIN)):
+    CLEAR."""
+    for thickness in (THICKNESS, THIN, LEAST_THICKNESS):
+        fitting = block.shortened(thickness)
         low, high = fitting.centre - fitting.size / 2, fitting.centre + fitting.size / 2
-        near = np.flatnonzero(((limits[:, 0] < high + GAP) & (limits[:, 1] > low - GAP)).all(1))
+        near = np.flatnonzero(((limits[:, 0] < high + CLEAR) & (limits[:, 1] > low - CLEAR)).all(1))
         if len(near) == 0:
             return fitting
         mesh = fitting.mesh
-        if all(overlap(mesh, around[int(number)]) is None for number in near):
+        if all(overlap(mesh, around[int(number)], CLEAR) is None for number in near):
             return fitting
     return None
 

@@ -8,7 +8,8 @@ from xml.etree import ElementTree as xml
 import numpy as np
 import trimesh
 
-from reconstruction.export.export_scene import ExportConfig, ExportObject, ExportScene
+from reconstruction.export.export_object import ExportObject
+from reconstruction.export.export_scene import ExportConfig, ExportScene
 from reconstruction.export.poses import write_poses
 from reconstruction.files.mesh_files import encode_obj
 

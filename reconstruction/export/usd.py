@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from reconstruction.export.export_scene import ExportObject, ExportScene
+from reconstruction.export.export_object import ExportObject
+from reconstruction.export.export_scene import ExportScene
 
 STATEMENT = {
     "frame": "prims' transforms lead from each object's own frame to the world frame of the result",

@@ -8,7 +8,8 @@ import numpy as np
 import trimesh
 
 from perception.camera import invert_rigid, transform
-from reconstruction.export.export_scene import ExportObject, ExportScene, moved
+from reconstruction.export.export_object import ExportObject, moved
+from reconstruction.export.export_scene import ExportScene
 from reconstruction.export.virtual_views import render, ring_of_cameras, truncated_distances
 
 SIDE, VOXELS = 0.30, 40
