@@ -41,9 +41,9 @@ def meshes_beside(
 ) -> list[list[trimesh.Trimesh]]:
     """For each of meshes with poses (4, 4) those others whose boxes meet its own, in its frame."""
     around = boxes([moved(mesh, pose) for mesh, pose in zip(meshes, poses)])
-    meet = ((around[:, None, 0] < around[:, 1]) & (around[:, 0] < around[:, None, 1])).all(-1)
+    meet = np.all((around[:, None, 0] < around[:, 1]) & (around[:, 0] < around[:, None, 1]), axis=-1)
     return [
-        [moved(meshes[j], invert_rigid(pose) @ poses[j]) for j in np.flatnonzero(meet[i]) if j != i]
+        [moved(meshes[j], invert_rigid(pose) @ poses[j]) for j in np.flatnonzero(meet[i]).tolist() if j != i]
         for i, pose in enumerate(poses)
     ]
 
