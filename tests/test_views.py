@@ -25,6 +25,7 @@ from reconstruction.files import result_folder
 from reconstruction.files.scene_json import describe
 from reconstruction.fitted_scene import FittedScene
 from reconstruction.result import Reconstruction
+from reconstruction.samples.silent import silent_in
 from reconstruction.solid import Solid
 from tools.cli import main
 
@@ -322,7 +323,9 @@ def test_a_view_that_moves_nothing_leaves_meshes_as_they_are() -> None:
         and np.allclose(again[item.label].mesh.vertices, item.mesh.vertices, atol=1e-9)
     ]
     assert len(same) >= 2
+    silent = silent_in([view.observation for view in again.observation.views])
     for label in same:
+        assert silent[label] == (4,)  # nor is the prior asked about them again
         assert abs(again[label].mean_uncertainty - known[label].mean_uncertainty) < 0.03
     fresh = mapped(0).update(views(5)[1])
     made = [len(fresh[item.label].mesh.vertices) != len(item.mesh.vertices) for item in mapped(0)]

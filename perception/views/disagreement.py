@@ -125,7 +125,7 @@ def to_leave_out(shares: dict[int, np.ndarray], seen: Sequence[Sequence[int]]) -
 def _share(table: np.ndarray, view: int, alive: Sequence[int]) -> float:
     """By how much the middle one of the other views contradicts a view: a share of an object's points."""
     others = [table[view, other] for other in alive if other != view and np.isfinite(table[view, other])]
-    return float(np.quantile(others, 0.5, method="lower")) if others else 0.0
+    return float(sorted(others)[(len(others) - 1) // 2]) if others else 0.0
 
 
 def _whole(found: Sequence[float]) -> float:

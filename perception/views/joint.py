@@ -99,6 +99,8 @@ class Stack:
 
     def image(self, images: Sequence[np.ndarray], missing: float) -> np.ndarray:
         """Images one under the other, padded with `missing`."""
+        if len(set(self.widths)) == 1:
+            return np.concatenate(images)
         padded = [
             np.pad(image, ((0, 0), (0, self.width - image.shape[1])), constant_values=missing)
             for image in images

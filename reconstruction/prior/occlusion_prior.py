@@ -98,13 +98,14 @@ class OcclusionPrior:
         # The network knows one support only, at height 0: every object is moved down onto it.
         lifts = [np.array([0, 0, floor], np.float32) for floor in floors or [0.0] * len(visible)]
         visible = [item - lift if lift.any() else item for item, lift in zip(visible, lifts)]
-        boxes = [ObjectBox.around(item, origin - lift) for item, lift in zip(visible, lifts)]
         lattices = np.empty((len(asked), LATTICE_CHANNELS, *LATTICE), np.float32)
-        bodies: list[Revolution] = [None] * len(boxes)  # type: ignore[list-item]
+        boxes: dict[int, ObjectBox] = {}
+        bodies: dict[int, Revolution] = {}
         plans: dict[int, Footprint] = {}
 
         def look(place: int) -> None:
             index = asked[place]
+            boxes[index] = ObjectBox.around(visible[index], origin - lifts[index])
             around = evidence(boxes[index].lattice() + lifts[index], index)
             lattices[place] = lattice_channels(boxes[index], visible[index], around)
             bodies[index] = Revolution.of(
@@ -144,13 +145,13 @@ class OcclusionPrior:
 
         with Threads() as threads:
             if memo and (self, asked) in memo:
-                features, bodies, plans = memo[self, asked]
+                features, boxes, bodies, plans = memo[self, asked]
             else:
                 threads.map(look, range(len(asked)))
                 # A batch a thread: one object at a time costs five times as much.
                 features = torch.cat(threads.map(encode, threads.split(len(asked))))
                 if memo is not None:
-                    memo[self, asked] = features, bodies, plans
+                    memo[self, asked] = features, boxes, bodies, plans
             threads.map(decode, range(len(asked)))
         return result
 
