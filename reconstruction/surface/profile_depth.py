@@ -13,9 +13,11 @@ from mapping.compiled import compiled
 
 CELL = 0.002
 """Cells of the half plane [m]."""
-NEAR, BESIDE = 0.006, 0.003
-"""The profile is known within this distance across it, and beyond its ends [m]; twice as far beyond where no
-ray passed."""
+NEAR, BESIDE = 0.006, 0.006
+"""The profile is known within this distance across it, and beyond its ends [m]."""
+LIP, ENDED = 0.001, 0.0005
+"""It ends so far beyond the last measured point [m] where rays passed, and goes on where none did; who is
+farther from all of them than the second is beyond it."""
 EMPTY, UNKNOWN = np.float32(-0.008), np.float32(0.02)
 """Depths [m] where rays passed, and where nothing is known."""
 NEIGHBOURS = 12
@@ -26,9 +28,17 @@ THINNEST = 0.0045
 """A wall of which both sides are known is at least so thick [m]: less falls between a lattice's nodes."""
 SLIT = 3
 """Gaps of fewer cells in the table are closed."""
+ALIKE, ALIKE_SHARE, AMONG = 0.7, 0.1, 2
+"""Of the points within so many cells at least this share has a normal within the angle of this cosine, or a
+point's own is wrong: at outlines, planes reach round edges."""
+STEEP, INNER_SHARE = 0.3, 0.03
+"""A wall's normal is level by at least this sine; a body of which more of the points than this share are on
+inner walls is a vessel."""
+DEEP = np.float32(0.9 * NEAR)
+"""Depth of what is filled [m]: known to be within."""
 _RINGS = round(2 * NEAR / CELL)
 """Measured points are looked for within so many cells ..."""
-_REACH = int(np.ceil(np.hypot(NEAR, 2 * BESIDE) / CELL))
+_REACH = int(np.ceil(np.hypot(NEAR, BESIDE) / CELL))
 """... where one is within so many: no place farther away is known."""
 
 
@@ -41,25 +51,71 @@ def depth_table(profile: np.ndarray, inwards: np.ndarray, low: float, empty: np.
     """
     profile = np.ascontiguousarray(profile - np.array([0, low]), np.float64)
     inwards = np.ascontiguousarray(inwards, np.float64)
-    beyond = np.where(empty, BESIDE, 2 * BESIDE)
+    right = _like_others(profile, inwards, *empty.shape)
+    profile, inwards = profile[right], inwards[right]
     outer = (inwards[:, 0] < 0) & (inwards[:, 1] > -FLOOR)
     sides = sorted((outer, ~outer), key=np.count_nonzero)
-    less, more = (_depth_behind(profile[side], inwards[side], beyond) for side in sides)
+    (less, less_beyond), (more, more_beyond) = (
+        _depth_behind(profile[side], inwards[side], *empty.shape) for side in sides
+    )
     # A wall's two sides are known to a millimetre or two, and some walls are no thicker: the side of which
     # more was seen stays where it is.
     both = np.isfinite(less) & np.isfinite(more)
     lacking = np.maximum(THINNEST - np.where(both, less + more, THINNEST), 0)
     depth = np.where(both, np.minimum(less + lacking, more), np.maximum(less, more))
+    beyond = np.minimum(less_beyond, more_beyond)
+    ends = empty & (beyond > ENDED)
+    depth[ends] = np.minimum(depth[ends], LIP - beyond[ends])
     depth = np.where(np.isfinite(depth), depth, np.where(empty, EMPTY, UNKNOWN)).astype(np.float32)
     return ndimage.grey_closing(depth, SLIT)
 
 
+def is_vessel(inwards: np.ndarray) -> bool:
+    """Whether normals (M, 2) of a profile, into the body, show it to be hollow: its inner walls are seen.
+
+    Seen from outside alone, a ball and a bowl upside down are alike; there are more of the first.
+    """
+    return bool((inwards[:, 0] > STEEP).mean() > INNER_SHARE)
+
+
 @compiled
-def _depth_behind(profile: np.ndarray, inwards: np.ndarray, beyond: np.ndarray) -> np.ndarray:
-    """How far places (R, Z) are behind the profile (M, 2) of one side of a wall [m], -inf where that is not
-    known: `beyond` (R, Z) [m] its ends. Of the nearest measured points, the mean."""
-    rows, columns = beyond.shape
-    behind = np.full(beyond.shape, -np.inf)
+def fill(depth: np.ndarray) -> None:
+    """Take what a table (R, Z) does not know nearer to the axis than the body's surface for its inside."""
+    rows, columns = depth.shape
+    for c in range(columns):
+        within = False
+        for r in range(rows - 1, -1, -1):
+            if depth[r, c] < UNKNOWN:
+                within = depth[r, c] >= 0
+            elif within:
+                depth[r, c] = DEEP
+
+
+@compiled
+def _like_others(profile: np.ndarray, inwards: np.ndarray, rows: int, columns: int) -> np.ndarray:
+    """Which points (M, 2) have normals (M, 2) as enough of those around have: (M,) bool."""
+    starts, order = _by_cell(profile, rows, columns)
+    right = np.zeros(len(profile), np.bool_)
+    for n in range(len(profile)):
+        r, c = int(profile[n, 0] / CELL), int(profile[n, 1] / CELL)
+        alike = count = 0
+        for i in range(max(r - AMONG, 0), min(r + AMONG + 1, rows)):
+            first, last = i * columns + max(c - AMONG, 0), i * columns + min(c + AMONG + 1, columns)
+            for m in order[starts[first] : starts[last]]:
+                count += 1
+                cosine = inwards[n, 0] * inwards[m, 0] + inwards[n, 1] * inwards[m, 1]
+                alike += cosine > ALIKE
+        right[n] = alike >= ALIKE_SHARE * count
+    return right
+
+
+@compiled
+def _depth_behind(
+    profile: np.ndarray, inwards: np.ndarray, rows: int, columns: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """How far places (rows, columns) are behind the profile (M, 2) of one side of a wall [m], of the nearest
+    measured points the mean, -inf where that is not known; and how far beyond its ends, inf there."""
+    behind, beyond = np.full((rows, columns), -np.inf), np.full((rows, columns), np.inf)
     starts, order = _by_cell(profile, rows, columns)
     distance, nearest = np.empty(NEIGHBOURS), np.empty(NEIGHBOURS, np.int64)
     for r, c in np.argwhere(_around_points(starts, rows, columns)):
@@ -70,9 +126,9 @@ def _depth_behind(profile: np.ndarray, inwards: np.ndarray, beyond: np.ndarray) 
             deep += x * inwards[nearest[n], 0] + y * inwards[nearest[n], 1]
         deep /= max(count, 1)
         aside = np.sqrt(max(distance[0] - deep * deep, 0.0))
-        if count and aside < beyond[r, c] and abs(deep) < NEAR:
-            behind[r, c] = deep
-    return behind
+        if count and aside < BESIDE and abs(deep) < NEAR:
+            behind[r, c], beyond[r, c] = deep, aside
+    return behind, beyond
 
 
 @compiled

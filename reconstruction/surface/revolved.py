@@ -18,7 +18,7 @@ import numpy as np
 
 from mapping.compiled import compiled
 from reconstruction.surface.joint_surface import JointEdges
-from reconstruction.surface.profile_depth import CELL, NEAR, UNKNOWN, depth_table
+from reconstruction.surface.profile_depth import CELL, NEAR, UNKNOWN, depth_table, fill, is_vessel
 from reconstruction.surface.reading import Reading
 from reconstruction.surface.seen_surface import Edges
 from reconstruction.surface.slanted_axis import slanted_axis
@@ -39,7 +39,7 @@ COARSE = 3
 """Rays are asked at one cell in so many along radius and height."""
 BEYOND = 0.015
 """The half plane reaches this far beyond the measured points [m]."""
-_PER_CELL = np.float32(1 / CELL)
+_PER_CELL, _HALF = np.float32(1 / CELL), np.float32(0.5)
 HANDLE = 0.015
 """What is seen off the circles may be this thick [m]."""
 
@@ -55,7 +55,7 @@ class RevolvedEdges:
     where it then stands [m]; height: of the table's first row [m];
     depth: (R, Z) float32, how far places at each radius and height lie behind the surface [m], negative where
     it is empty, UNKNOWN or so where nothing is known; circles: (M, 3) points of the surface all round; wall:
-    what is measured is at least so thick [m].
+    what is measured is at least so thick [m]; full: it is no vessel.
     """
 
     edges: Edges | JointEdges
@@ -65,6 +65,7 @@ class RevolvedEdges:
     depth: np.ndarray
     circles: np.ndarray
     wall: float
+    full: bool = False
 
     @classmethod
     def of(
@@ -118,7 +119,10 @@ class RevolvedEdges:
         )
         empty = _empty(read, axis, low, shape.astype(int))
         depth = depth_table(profile, inwards, low, empty)
-        return cls(edges, turn, axis, low, depth, turned[whole].reshape(-1, 3) @ turn, wall)
+        full = not is_vessel(inwards)
+        if full:
+            fill(depth)
+        return cls(edges, turn, axis, low, depth, turned[whole].reshape(-1, 3) @ turn, wall, full)
 
     def read(self, points: np.ndarray) -> Reading:
         """What the depth image says of points (N, 3) float32 [m], or the circles where it says nothing."""
@@ -139,7 +143,8 @@ class RevolvedEdges:
             keep[off] = False
             rows, depth, behind = rows[keep], depth[keep], behind[keep]
         reading.distance[rows] = np.minimum(reading.distance[rows], depth)
-        reading.depth[rows] = np.where(depth >= 0, np.minimum(behind, depth), behind)
+        within = np.float32(0) if self.full else np.minimum(behind, depth)
+        reading.depth[rows] = np.where(depth >= 0, within, behind)
         return reading
 
     def depth_known(self, points: np.ndarray) -> np.ndarray:
@@ -218,7 +223,13 @@ def _in_table(
             continue
         r, c = min(int(out), rows - 2), min(int(up), columns - 2)
         dr, dc = out - np.float32(r), up - np.float32(c)
-        low = table[r, c] * (1 - dc) + table[r, c + 1] * dc
-        high = table[r + 1, c] * (1 - dc) + table[r + 1, c + 1] * dc
-        found[i] = low * (1 - dr) + high * dr
+        total = sums = np.float32(0)
+        for j in range(2):
+            for k in range(2):
+                weight = (dr if j else 1 - dr) * (dc if k else 1 - dc)
+                if table[r + j, c + k] < UNKNOWN:
+                    total += weight
+                    sums += weight * table[r + j, c + k]
+        # Between what is known and what is not, nothing is between their numbers.
+        found[i] = sums / total if total > _HALF else UNKNOWN
     return found

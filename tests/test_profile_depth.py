@@ -1,0 +1,77 @@
+"""Tables of how deep places lie behind a profile: walls, their ends, wrong normals, and what is within."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from reconstruction.surface.profile_depth import CELL, UNKNOWN, depth_table, fill, is_vessel
+
+ROWS, COLUMNS, LOW = 48, 60, -0.02
+
+
+def upright(radius: float, inside: bool = False, count: int = 600) -> tuple[np.ndarray, np.ndarray]:
+    """A profile (M, 2) of an upright wall from height 0 to 60 mm, and its normals into the solid."""
+    rng = np.random.default_rng(0)
+    profile = np.stack(
+        [np.full(count, radius) + 3e-4 * rng.normal(size=count), rng.uniform(0, 0.06, count)], 1
+    )
+    return profile, np.tile([1.0 if inside else -1.0, 0.0], (count, 1))
+
+
+def cell(radius: float, height: float) -> tuple[int, int]:
+    return round(radius / CELL), round((height - LOW) / CELL)
+
+
+def rays_passed(height: float, beyond: float = np.inf) -> np.ndarray:
+    """Which cells are empty: those above a height, and those farther out than a radius."""
+    r, z = np.meshgrid(np.arange(ROWS) * CELL, LOW + np.arange(COLUMNS) * CELL, indexing="ij")
+    return (z > height) | (r > beyond)
+
+
+def test_depths_are_distances_to_the_wall() -> None:
+    table = depth_table(*upright(0.04), LOW, rays_passed(0.066, beyond=0.043))
+    for off in (-0.004, -0.002, 0.0, 0.002, 0.004):
+        assert abs(table[cell(0.04 + off, 0.03)] + off) < 4e-4
+    assert table[cell(0.02, 0.03)] >= UNKNOWN
+
+
+def test_a_wall_ends_where_rays_passed_beyond_it() -> None:
+    table = depth_table(*upright(0.04), LOW, rays_passed(0.059))
+    assert table[cell(0.038, 0.058)] > 0
+    assert (table[cell(0.038, 0.064)[0], cell(0.038, 0.064)[1] :] < 0).all()
+    # Where none did it goes on a little: nobody saw its foot.
+    assert table[cell(0.038, -0.004)] > 0
+
+
+def test_a_few_wrong_normals_open_no_wall() -> None:
+    profile, inwards = upright(0.04)
+    wrong = inwards.copy()
+    wrong[::40] = [0.34, -0.94]  # planes that reach round an edge
+    empty = rays_passed(0.066)
+    of_all, of_right = depth_table(profile, wrong, LOW, empty), depth_table(profile, inwards, LOW, empty)
+    near = cell(0.036, 0.0)[0], slice(cell(0, 0.005)[1], cell(0, 0.055)[1])
+    np.testing.assert_allclose(of_all[near], of_right[near], atol=5e-4)
+
+
+def test_both_sides_of_a_thin_wall_are_kept() -> None:
+    sides = upright(0.04), upright(0.037, inside=True)
+    profile, inwards = (np.concatenate(part) for part in zip(*sides))
+    table = depth_table(profile, inwards, LOW, rays_passed(0.066))
+    assert table[cell(0.038, 0.03)] > 0
+    assert max(table[cell(0.032, 0.03)], table[cell(0.046, 0.03)]) < 0
+    assert is_vessel(inwards)
+    assert not is_vessel(sides[0][1])
+
+
+def test_what_nobody_knows_within_a_surface_is_filled_and_nothing_else() -> None:
+    empty = rays_passed(0.066, beyond=0.05)
+    table = depth_table(*upright(0.04), LOW, empty)
+    filled = table.copy()
+    fill(filled)
+    middle = cell(0.0, 0.03)[1]
+    assert 0 < filled[0, middle] < UNKNOWN
+    assert (filled[: cell(0.03, 0)[0], middle] > 0.005).all()
+    np.testing.assert_array_equal(filled[table < UNKNOWN], table[table < UNKNOWN])
+    assert filled[cell(0.04, 0)[0] + 8, 2] == table[cell(0.04, 0)[0] + 8, 2]
+    above = cell(0.0, 0.075)[1]
+    np.testing.assert_array_equal(filled[:, above], table[:, above])
