@@ -29,6 +29,7 @@ OBJECT_METRICS = (
     "normal_deg",
     "handles",
     "handles_right",
+    "vessel_handles_right",
     "parts",
     "wall_excess_mm",
     "iou_2_5mm",

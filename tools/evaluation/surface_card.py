@@ -17,6 +17,7 @@ from reconstruction.solid import Solid
 from reconstruction.surface.agreement import Agreement, agreement_with_depth
 from tools.evaluation.case import Case
 from tools.evaluation.handles import handles_and_parts, true_handles
+from tools.evaluation.vessels import is_vessel, outside_seen
 
 SEEN_REACH = 0.004
 """Normals are compared where the mesh is this near to a seen point [m]."""
@@ -32,6 +33,8 @@ BEHIND = 1e-5
 """The second ray of a wall starts so far behind the first hit [m]."""
 FINEST_SPACING = 0.0025
 """Grid of the finest IoU [m]."""
+HALF = 0.5
+"""Handles of vessels are judged apart where this share of the outside is seen."""
 
 
 def agreements(meshes: dict[int, trimesh.Trimesh], case: Case) -> dict[int, Agreement]:
@@ -58,11 +61,14 @@ def surface_card(
     # Scans with texture have vertices twice along its seams.
     whole = trimesh.Trimesh(true.mesh.vertices, true.mesh.faces, process=True)
     wanted = true_handles(true)
+    right = None if handles is None else float(handles == wanted)
+    shown = is_vessel(true) and outside_seen(true.mesh, seen) >= HALF
     return {
         "normal_deg": normal_error(mesh, true.mesh, seen, rng),
         "handles": handles,
         "true_handles": wanted,
-        "handles_right": None if handles is None else float(handles == wanted),
+        "handles_right": right,
+        "vessel_handles_right": right if shown else None,
         "parts": parts,
         "true_parts": handles_and_parts(whole)[1],
         **wall_excess(predicted, true, seen, origin, rng),

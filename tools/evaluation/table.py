@@ -25,6 +25,7 @@ SURFACE_COLUMNS = {
     "normal_deg": "normals [deg]",
     "handles": "handles",
     "handles_right": "handles right",
+    "vessel_handles_right": "of vessels half seen",
     "parts": "parts",
     "wall_excess_mm": "walls too thick [mm]",
     "iou_2_5mm": "IoU 2.5 mm",
