@@ -97,6 +97,18 @@ def test_a_hull_over_a_hollow_is_halved_until_it_bulges_no_more():
     assert Cutter(None, [hull]).halve([0], np.zeros((1, 3))) == [[]]
 
 
+def test_a_part_bulges_less_where_another_mesh_is():
+    grooved = trimesh.creation.box((0.08, 0.04, 0.02)).difference(box((0.03, 0.05, 0.004), (0, 0, 0.01)))
+    in_it = Solid(box((0.028, 0.03, 0.02), (0, 0, 0.0185)))  # its lower end 1.5 mm deep in the groove of 2 mm
+    (whole,) = refined(*_begun(grooved), 0.0027)
+    assert parts_error(grooved, (whole,))[1] == pytest.approx(0.002, abs=1e-4)
+    found = refined(*_begun(grooved), 0.0027, [in_it])
+    points = np.concatenate([part.vertices for part in found])
+    assert len(found) > 1
+    assert parts_error(grooved, found)[1] < 0.001
+    assert not in_it.inside(points.astype(np.float32)).any()
+
+
 def test_a_thin_tip_that_no_part_covers_becomes_a_part_of_its_own():
     block = box((0.06, 0.06, 0.02), (0, 0, 0))
     thorn = trimesh.creation.cone(
@@ -193,3 +205,9 @@ def test_things_touch_the_support_and_what_is_below_or_beside_them():
     assert len(beside.places)
     assert np.allclose(beside.pushes, [1, 0, 0])
     assert len(contacts_of(2, {2: (upper,)}).places) == 0
+
+
+def _begun(mesh):
+    """What `refined` wants of a mesh that is its own first part: hulls, solid and how they are halved."""
+    cutter = Cutter(solid_of(mesh.vertices, mesh.faces), [np.asarray(mesh.vertices)])
+    return cutter.hulls, Solid(mesh), cutter.halve

@@ -57,6 +57,18 @@ def test_blocks_keep_clear_of_other_objects_and_are_thin_where_they_must():
     assert {round(float(block.size[2]), 6) for block in thin} == {THIN}
 
 
+def test_a_tip_between_the_places_looked_at_is_not_stuck_in_a_block():
+    tip = (
+        trimesh.creation.cone(0.0007, 0.004)
+        .apply_transform(np.diag([1.0, -1, -1, 1]))
+        .apply_translation([0.0008, 0, 0.04])
+    )
+    hovering = (box((0.1, 0.06, 0.04), (0, 0, 0.06)), tip)
+    blocks = unseen_support(hovering, [], np.array([0, 0, 0.06]), nothing)
+    assert len(blocks) == MOST
+    assert all(overlap(block.mesh, part, 0.0) is None for block in blocks for part in hovering)
+
+
 def test_an_underside_is_followed_and_its_lowest_places_are_taken_first():
     table_top, leg = box((0.1, 0.1, 0.01), (0, 0, 0.1)), box((0.04, 0.04, 0.06), (0, 0, 0.065))
     tops = [b.top for b in unseen_support((table_top, leg), [], np.array([0, 0, 0.1]), nothing)]

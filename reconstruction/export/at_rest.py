@@ -20,7 +20,7 @@ from reconstruction.export.unseen_support import Block, unseen_support
 @dataclass(frozen=True)
 class AtRest:
     """centres: label -> centre of mass (3,) [m], moved to where the object does not fall from where it was
-    seen. supports: label -> blocks below each object that the ground, and what it leans on, do not hold."""
+    seen. supports: label -> blocks below each object that the ground alone does not hold."""
 
     centres: Mapping[int, np.ndarray]
     supports: Mapping[int, tuple[Block, ...]]
@@ -34,24 +34,24 @@ def at_rest(
     """What keeps objects where they were seen.
 
     objects: label -> convex parts; centres: of mass, of an even density. is_free: which of points (N, 3) [m]
-    were seen to be empty. What lies on other objects gets blocks where there is room for them: the others
-    may move as they settle, and none touches it before that.
+    were seen to be empty. What lies or leans on other objects gets blocks where there is room for them:
+    the others may move as they settle, and none touches it before that.
     """
     moved, supports = {}, {}
     for label, centre in centres.items():
         corners = corners_of(objects[label])
         extent = float(np.linalg.norm(np.ptp(corners[:, :2], axis=0)))
         contacts = contacts_of(label, objects)
-        fixed = contacts.none_but_ground_carries()
-        found = balanced(centre, fixed, extent)
+        ground = contacts.on_the_support()
+        found = balanced(centre, ground, extent)
         if not found.steady:
             others = [parts for other, parts in objects.items() if other != label]
             if blocks := unseen_support(objects[label], others, centre, is_free):
                 supports[label] = blocks
                 tops = [block.corners[block.corners[:, 2] > block.centre[2]] for block in blocks]
                 held = Contacts.upwards(np.concatenate(tops))
-                fixed, contacts = fixed.joined(held), contacts.joined(held)
-                found = balanced(centre, fixed, extent)
+                ground, contacts = ground.joined(held), contacts.joined(held)
+                found = balanced(centre, ground, extent)
         if not found.steady:
             found = balanced(centre, contacts, extent)
         moved[label] = found.centre

@@ -41,9 +41,9 @@ class Contacts:
         """(N,) bool: which bear weight."""
         return self.pushes[:, 2] > CARRIES
 
-    def none_but_ground_carries(self) -> Contacts:
-        """Without those that bear weight above the support."""
-        kept = ~self.carries | (self.places[:, 2] < FOOT)
+    def on_the_support(self) -> Contacts:
+        """Those with the support alone."""
+        kept = self.places[:, 2] < FOOT
         return Contacts(self.places[kept], self.pushes[kept])
 
     def joined(self, other: Contacts) -> Contacts:

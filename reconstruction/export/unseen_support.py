@@ -97,7 +97,8 @@ def unseen_support(
     places = np.array([block.centre for block in found])
     tops = np.array([block.top for block in found])
     chosen = _lowest_that_hold(centre, places, tops)
-    return tuple(found[chosen[number]] for number in _spread(places[chosen, :2], centre[:2]))
+    spread = [found[chosen[number]] for number in _spread(places[chosen, :2], centre[:2])]
+    return tuple(lower for block in spread if (lower := _clear_of(block, own)) is not None)
 
 
 def _lowest_that_hold(centre: np.ndarray, places: np.ndarray, tops: np.ndarray) -> np.ndarray:
@@ -151,6 +152,21 @@ def _fitting(block: Block, around: Sequence[trimesh.Trimesh], limits: np.ndarray
         mesh = fitting.mesh
         if all(overlap(mesh, around[int(number)], CLEAR) is None for number in near):
             return fitting
+    return None
+
+
+def _clear_of(block: Block, own: Parts) -> Block | None:
+    """The block without its upper end where a tip of the object's own parts, between the places looked at,
+    reaches into it."""
+    limits = boxes(own)
+    while block.size[2] > BELOW:
+        low, high = block.centre - block.size / 2, block.centre + block.size / 2
+        near = np.flatnonzero(((limits[:, 0] < high) & (limits[:, 1] > low)).all(1))
+        mesh = block.mesh
+        if all(overlap(mesh, own[int(number)], 0.0) is None for number in near):
+            return block
+        size = block.size - [0.0, 0.0, BELOW]
+        block = Block(block.centre - [0.0, 0.0, BELOW / 2], size)
     return None
 
 
