@@ -7,11 +7,14 @@ from solids import reconstructed_tabletop, true_meshes
 
 from mapping.settings import override
 from perception.camera import transform
+from perception.observing import observe
 from perception.space import Region, Space
 from reconstruction import preset, reconstruct
 from reconstruction.config import TabletopLabels
 from reconstruction.metrics import inside
 from reconstruction.samples import labels as label_rules
+from reconstruction.surface.measured_vertices import LEAST, share_left
+from reconstruction.surface.seen_surface import SeenSurface
 from tools.evaluation.statistics import auroc
 
 SIZE = (240, 180)
@@ -103,3 +106,23 @@ def test_keeping_only_what_is_sure_leaves_a_smaller_closed_mesh(frame, result):
         assert item.watertight
         assert item.mesh.volume < volume[item.label]
         assert np.quantile(item.uncertainty, 0.9) < 0.45
+
+
+def test_measured_vertices_are_surer_than_hidden_ones(result):
+    from scipy.spatial import cKDTree
+
+    for item, seen in zip(result.objects, result.observation.objects):
+        vertices = transform(np.linalg.inv(result.T_world_table), np.asarray(item.mesh.vertices))
+        off = cKDTree(seen.points).query(vertices)[0]
+        on, hidden = item.uncertainty[off < 0.0015], item.uncertainty[off > 0.015]
+        assert np.median(on) < 0.02
+        assert np.median(on) < 0.1 * np.median(hidden)
+
+
+def test_the_far_side_of_a_thin_wall_is_not_measured():
+    edges = SeenSurface.of(observe(make_tabletop(size=SIZE).frame)).edges(0)
+    points = observe(make_tabletop(size=SIZE).frame).objects[0].points.astype(np.float32)
+    shown = edges.facing(points)[0].any(1)
+    on, behind = points[shown], edges.behind(points[shown], 0.006)
+    assert np.median(share_left(edges, on)) == LEAST
+    assert np.median(share_left(edges, behind)) == 1

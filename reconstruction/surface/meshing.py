@@ -10,6 +10,7 @@ from reconstruction.surface.closed_solid import ClosedSolid
 from reconstruction.surface.field import Field
 from reconstruction.surface.fusion import fuse
 from reconstruction.surface.joint_surface import JointSurface
+from reconstruction.surface.measured_vertices import share_left
 from reconstruction.surface.refined import values_at
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
 from reconstruction.surface.seen_surface import SeenSurface
@@ -31,7 +32,8 @@ def extract_mesh(
     surface: SeenSurface | JointSurface | None = None,
     shape: WholeShape | None = None,
 ) -> tuple[trimesh.Trimesh, np.ndarray] | None:
-    """Closed mesh of object `index` and p(uncertain) at its vertices (V,).
+    """Closed mesh of object `index` and p(uncertain) at its vertices (V,): the map's, as far as measurements
+    leave it.
 
     In the field's frame. seen: points (N, 3) [m] on the object's surface, which the mesh is to keep.
     surface: what was measured of it, to be fused with the map; None leaves the surface to the map alone.
@@ -73,4 +75,5 @@ def extract_mesh(
         vertices, faces = simplified(vertices, faces, config.simplify)
         nodes = (vertices - corner) / field.spacing
     mesh = trimesh.Trimesh(vertices, faces, process=False)
-    return mesh, np.clip(values_at(uncertainty, nodes), 0, 1)
+    unsure = np.clip(values_at(uncertainty, nodes), 0, 1)
+    return mesh, unsure if edges is None else unsure * share_left(edges, vertices)

@@ -1,0 +1,32 @@
+"""How much of a surface's uncertainty is left where the surface was measured.
+
+Knows readings of depth images; knows nothing of maps, lattices or meshes. The map's p(uncertain) says whether
+a place was observed; around a surface it changes within millimetres from one to the other. A vertex lies on
+what was measured, or it does not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from reconstruction.surface.joint_surface import JointEdges
+from reconstruction.surface.seen_surface import Edges
+
+WITHIN, NOISES, MOST = 0.002, 3.0, 0.004
+"""What lies no farther than this [m], or these standard deviations of noise, from what its ray measured of
+the object is more or less that; no more than the last [m]: the far side of a thin wall is not."""
+LEAST = 0.05
+"""Share of the uncertainty that measured places keep."""
+
+
+def share_left(edges: Edges | JointEdges, points: np.ndarray) -> np.ndarray:
+    """Share (N,) of the uncertainty at vertices (N, 3) [m] that measurements leave: LEAST on what was
+    measured, 1 away from it and where no ray shows the object."""
+    points = np.ascontiguousarray(points, np.float32)
+    left = np.ones(len(points), np.float32)
+    for view in edges.views if isinstance(edges, JointEdges) else (edges,):
+        normals, behind = view.facing(points)
+        within = min(max(WITHIN, NOISES * view.noise), MOST)
+        off = np.clip(np.abs(behind) / np.float32(within), LEAST, 1)
+        left = np.minimum(left, np.where(normals.any(1), off, 1))
+    return left
