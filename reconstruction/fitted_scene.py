@@ -34,6 +34,7 @@ from reconstruction.samples.tabletop import draw_tabletop
 from reconstruction.samples.training_set import TrainingSet
 from reconstruction.surface.field import Field, evaluate_field
 from reconstruction.surface.joint_surface import JointSurface
+from reconstruction.surface.measured_vertices import share_left
 from reconstruction.surface.meshing import extract_mesh
 from reconstruction.surface.refined import values_at
 from reconstruction.surface.seen_surface import SeenSurface, seen_by
@@ -217,6 +218,8 @@ class FittedScene:
         window = field.windows[index]
         nodes = (np.asarray(surface.mesh.vertices) - field.corner(window)) / field.spacing
         uncertainty = np.clip(values_at(field.uncertainty[window], nodes), 0, 1)
+        if self.seen is not None:
+            uncertainty *= share_left(self.seen.edges(index), surface.mesh.vertices)
         return Surface(surface.mesh, uncertainty, surface.field)
 
     @cached_property
