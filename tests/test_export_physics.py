@@ -15,7 +15,7 @@ from reconstruction.export.export_scene import ExportScene
 from reconstruction.export.footing import with_footing
 from reconstruction.export.formats import export
 from tools import export_checks
-from tools.ball_drops import CELL, drop_all, hollow
+from tools.ball_drops import CELL, Hollow, covered, drop_all, hollow
 from tools.export_checks import overlap, stand, summarise
 
 
@@ -53,6 +53,16 @@ def test_what_holds_water_is_a_container_and_nothing_else():
     spout[x > 0.02] = np.minimum(spout[x > 0.02], 0.02)  # water runs out at one side: 1 cm is left
     assert hollow(spout, np.zeros(2)) is None
     assert hollow(np.full((50, 50), 0.1), np.zeros(2)) is None
+
+
+def test_a_container_with_something_in_or_above_it_is_left_out():
+    place = Hollow((0.0, 0.0), 0.03, 0.1, 0.08)
+    lid = trimesh.creation.box((0.02, 0.02, 0.02))
+    assert covered(place, [lid.copy().apply_translation([0.005, 0, 0.3])])
+    assert covered(place, [lid.copy().apply_translation([0, 0, 0.05])])
+    assert not covered(place, [lid.copy().apply_translation([0, 0, 0.0])])  # below its bottom
+    assert not covered(place, [lid.copy().apply_translation([0.05, 0, 0.3])])
+    assert not covered(place, [])
 
 
 def test_nothing_reaches_into_the_support_and_the_foot_is_flat(planned):

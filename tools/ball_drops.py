@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -19,6 +20,8 @@ from tools.exit_code import exit_code
 from tools.options import write_json
 
 if TYPE_CHECKING:
+    import trimesh
+
     from reconstruction.export.export_scene import ExportScene
 
 RADIUS, MASS = 0.01, 0.01
@@ -91,19 +94,20 @@ def check(
 
 
 def drop_all(scene: ExportScene, out: Path) -> list[Drop]:
-    """A ball into each container of a result, in either engine; what is exported comes into `out`."""
+    """A ball into each container of a result that no other object fills or covers, in either engine; what is
+    exported comes into `out`."""
     from perception.camera import invert_rigid, transform
+    from reconstruction.export.export_object import moved
     from reconstruction.export.formats import export
 
     T_table_world = invert_rigid(scene.T_world_table)
+    meshes = {item.key: moved(item.mesh, T_table_world @ item.T_world_object) for item in scene.objects}
     hollows = {}
-    for item in scene.objects:
-        T_table_object = T_table_world @ item.T_world_object
-        heights, origin = height_map(
-            transform(T_table_object, np.asarray(item.mesh.vertices)), item.mesh.faces
-        )
-        if (found := hollow(heights, origin)) is not None:
-            hollows[item.key] = found
+    for key, mesh in meshes.items():
+        found = hollow(*height_map(np.asarray(mesh.vertices), mesh.faces))
+        others = [other for name, other in meshes.items() if name != key]
+        if found is not None and not covered(found, others):
+            hollows[key] = found
     if not hollows:
         return []
     export(scene, ["urdf", "mjcf"], out)
@@ -152,6 +156,17 @@ def hollow(heights: np.ndarray, origin: np.ndarray) -> Hollow | None:
     return Hollow(
         (float(place[0]), float(place[1])), float(room[middle]), float(water[middle]), float(depth[middle])
     )
+
+
+def covered(place: Hollow, others: Sequence[trimesh.Trimesh]) -> bool:
+    """Whether another object is where the ball falls: in the hollow, or above it."""
+    from reconstruction.solid import Solid
+
+    around = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]) * RADIUS + place.middle
+    high = place.top + 1.0
+    down = np.broadcast_to(np.array([0.0, 0.0, -1.0]), (len(around), 3))
+    starts = np.column_stack([around, np.full(len(around), high)])
+    return any((high - Solid(mesh).cast(starts, down) > place.top - place.depth).any() for mesh in others)
 
 
 def _mujoco(out: Path, start: np.ndarray) -> np.ndarray:
