@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from reconstruction.surface.profile_depth import CELL, UNKNOWN, depth_table, fill, is_vessel
+from reconstruction.surface.profile_depth import CELL, DEEP, UNKNOWN, depth_table, fill, is_vessel
 
 ROWS, COLUMNS, LOW = 48, 60, -0.02
 
@@ -70,7 +70,7 @@ def test_what_nobody_knows_within_a_surface_is_filled_and_nothing_else() -> None
     fill(filled)
     middle = cell(0.0, 0.03)[1]
     assert 0 < filled[0, middle] < UNKNOWN
-    assert (filled[: cell(0.03, 0)[0], middle] > 0.005).all()
+    assert (filled[: cell(0.03, 0)[0], middle] >= DEEP).all()
     np.testing.assert_array_equal(filled[table < UNKNOWN], table[table < UNKNOWN])
     assert filled[cell(0.04, 0)[0] + 8, 2] == table[cell(0.04, 0)[0] + 8, 2]
     above = cell(0.0, 0.075)[1]

@@ -34,8 +34,8 @@ point's own is wrong: at outlines, planes reach round edges."""
 STEEP, INNER_SHARE = 0.3, 0.03
 """A wall's normal is level by at least this sine; a body of which more of the points than this share are on
 inner walls is a vessel."""
-DEEP = np.float32(0.9 * NEAR)
-"""Depth of what is filled [m]: known to be within."""
+DEEP = np.float32(0.0025)
+"""Depth of what is filled [m]: no more, for nobody saw it, and who asks how sure it is goes by the depth."""
 _RINGS = round(2 * NEAR / CELL)
 """Measured points are looked for within so many cells ..."""
 _REACH = int(np.ceil(np.hypot(NEAR, BESIDE) / CELL))
