@@ -132,9 +132,11 @@ def _eye_of(edges: Edges, seen: np.ndarray) -> tuple[np.ndarray, np.float32]:
 def _passed(points: np.ndarray, edges: Edges, reading: Reading, seen: np.ndarray) -> np.ndarray:
     """Whether rays of one image are known to have passed points (N, 3) [m], or the object on their way."""
     eye, nearest = _eye_of(edges, seen)
-    # What is seen before the object hides it; what is seen behind it ends rays that passed it.
+    # What is seen before the object hides it; what is seen behind it ends rays that passed it on their way to
+    # a point. Of points before what is seen, how far from the outline they are tells.
+    hidden = (reading.others > 0) & (reading.others < FAR)
     met = np.sqrt(squared_distance(points, eye)) - reading.others
-    return (reading.distance < -GRAZED) | (reading.others < FAR) & (met > nearest)
+    return (reading.distance < -GRAZED) | hidden & (met > nearest)
 
 
 @compiled
@@ -148,7 +150,7 @@ def _keep_unpassed(
         distance, others = readings[last, 0, n], readings[last, 2, n]
         if distance < -_GRAZED:
             continue
-        if others < _FAR:
+        if 0 < others < _FAR:
             x, y, z = points[n, 0] - eye[0], points[n, 1] - eye[1], points[n, 2] - eye[2]
             if np.sqrt(x * x + y * y + z * z) - others > nearest:
                 continue
