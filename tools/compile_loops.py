@@ -28,5 +28,5 @@ def compile_loops() -> float:
 
 
 if __name__ == "__main__":
-    print("Compiling the inner loops, once on this machine: about half a minute ...", flush=True)
+    print("Compiling the inner loops, once on this machine: a minute or two ...", flush=True)
     print(f"done in {compile_loops():.0f} s")
