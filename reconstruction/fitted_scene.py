@@ -193,8 +193,12 @@ class FittedScene:
         asked = [index for index, item in enumerate(objects) if item.label not in self.quiet]
         order = sorted(asked, key=lambda index: -sizes[index])
         extracted = dict(zip(order, map_in_threads(extract, order)))
-        surfaces = {index: found and Surface(*found) for index, found in extracted.items()}
-        return [surfaces[index] if index in surfaces else self._stays(index) for index in range(len(objects))]
+        surfaces: dict[int, Surface | None] = {
+            index: found and Surface(*found) for index, found in extracted.items()
+        }
+        staying = [index for index in range(len(objects)) if index not in surfaces]
+        surfaces.update(zip(staying, map_in_threads(self._stays, staying)))
+        return [surfaces[index] for index in range(len(objects))]
 
     @cached_property
     def quiet(self) -> frozenset[int]:

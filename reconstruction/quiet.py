@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from mapping.known_points import first_in_cells
+from mapping.threads import map_in_threads
 from perception.views.joint import JointObservation
 from reconstruction.surface.joint_surface import JointSurface
 from reconstruction.surface.unchanged import unchanged
@@ -20,16 +21,18 @@ def quiet_objects(observation: JointObservation, seen: JointSurface, before: Bef
     seen: what the views measured.
     """
     latest = {item.label: item.points for item in observation.views[-1].observation.objects}
-    found = []
-    for index, item in enumerate(observation.objects):
+
+    def quiet(index: int) -> bool:
+        item = observation.objects[index]
         surface = before.surfaces.get(item.label)
         if surface is None or surface.field is None or item.label in before.kept:
-            continue
+            return False
         edges = seen.edges(index)
         points = latest.get(item.label, np.empty((0, 3), np.float32))
         earlier = item.points[: len(item.points) - len(points)]  # the latest view's come last
         points, earlier = (part[first_in_cells(part, seen.thinnest)] for part in (points, earlier))
         vertices = np.asarray(surface.mesh.vertices, np.float32)
-        if unchanged(vertices, edges.views[-1], edges.spread, points, earlier):
-            found.append(item.label)
-    return frozenset(found)
+        return unchanged(vertices, edges.views[-1], edges.spread, points, earlier)
+
+    found = map_in_threads(quiet, range(len(observation.objects)))
+    return frozenset(item.label for item, stays in zip(observation.objects, found) if stays)

@@ -5,17 +5,23 @@ Knows the spaces of single views and how their images are stacked; knows nothing
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
+from mapping.compiled import compiled
+from mapping.threads import map_in_threads
 from perception.config import PerceptionConfig
 from perception.observation import Observation
 from perception.space import Region, Sight, Space
 from perception.views.joint import JointObservation, Stack
 
+SHARED_FROM = 10_000
+"""Points from which on threads share the views: fewer cost less than handing them over."""
+Answer = TypeVar("Answer")
 RANK = np.array([4, 3, 2, 1, 5], np.int8)
 """By Region: what one view says of a point outweighs what says less."""
 REGION_OF_RANK = np.array(
@@ -61,23 +67,20 @@ class JointSpace(Space):
 
     def look(self, points: np.ndarray) -> Sight:
         """What is seen on the ray through each point, from the view that tells most of it."""
-        sights = [space.look(points) for space in self.views]
-        behind = np.stack([sight.behind for sight in sights])
-        # Where nothing was measured, a view that has a pixel there comes before one that has none.
-        outside = np.stack([sight.pixel < 0 for sight in sights])
-        rank = np.where(np.isnan(behind), np.where(outside, np.float32(2e9), np.float32(1e9)), behind)
-        best, rows = rank.argmin(0), np.arange(len(points))
-        pixel = np.stack([self.stack.place(view, sight.pixel) for view, sight in enumerate(sights)])
-        depth = np.stack([sight.depth for sight in sights])
-        return Sight(pixel[best, rows], depth[best, rows], behind[best, rows])
+        sights = _of_each(lambda space: space.look(points), self.views, len(points))
+        pixels, depths, behinds = (np.stack(part) for part in zip(*sights))
+        stack = self.stack
+        return Sight(
+            *_most_told(
+                pixels, depths, behinds, np.array(stack.rows), np.array(stack.widths), int(stack.width)
+            )
+        )
 
     def classify(self, points: np.ndarray) -> np.ndarray:
         """The Region of each point, (N,) int8: BELOW_SUPPORT, FREE, SURFACE, OCCLUDED, whichever comes
         first in any view, else OUT_OF_VIEW."""
-        rank = np.zeros(len(points), np.int8)
-        for space in self._on_floor:
-            np.maximum(rank, RANK[space.classify(points)], out=rank)
-        return REGION_OF_RANK[rank]
+        regions = _of_each(lambda space: space.classify(points), self._on_floor, len(points))
+        return np.asarray(_ranked(np.stack(regions)))
 
     def origin_of(self, pixels: np.ndarray) -> np.ndarray:
         """(N, 3) where the rays of pixels (N,) start [m]."""
@@ -100,3 +103,51 @@ def each_view(observation: Observation, space: Space) -> list[tuple[Observation,
     if isinstance(observation, JointObservation) and isinstance(space, JointSpace):
         return [(view.observation, own) for view, own in zip(observation.views, space.views)]
     return [(observation, space)]
+
+
+def _of_each(ask: Callable[[Space], Answer], views: Sequence[Space], count: int) -> list[Answer]:
+    """What is asked of each view about so many points."""
+    return map_in_threads(ask, views) if count >= SHARED_FROM else [ask(space) for space in views]
+
+
+@compiled
+def _most_told(
+    pixels: np.ndarray,
+    depths: np.ndarray,
+    behinds: np.ndarray,
+    rows: np.ndarray,
+    widths: np.ndarray,
+    width: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of what V views see on the rays through points, each (V, N), what the one says of each point that sees
+    it nearest to its surface, or before it; where none measured anything, the first that has a pixel there.
+    Pixels are those of the stacked image: rows, widths (V,) of the images in it."""
+    views, count = pixels.shape
+    pixel, depth, behind = np.empty(count, np.int32), np.empty(count, np.float32), np.empty(count, np.float32)
+    for i in range(count):
+        best, least = 0, np.float32(np.inf)
+        for v in range(views):
+            told = behinds[v, i]
+            if np.isnan(told):
+                told = np.float32(2e9) if pixels[v, i] < 0 else np.float32(1e9)
+            if told < least:
+                best, least = v, told
+        own = pixels[best, i]
+        if own >= 0:
+            row = own // widths[best]
+            own = np.int32((row + rows[best]) * width + own - row * widths[best])
+        pixel[i], depth[i], behind[i] = own, depths[best, i], behinds[best, i]
+    return pixel, depth, behind
+
+
+@compiled
+def _ranked(regions: np.ndarray) -> np.ndarray:
+    """Of the regions (V, N) that views give points, the one that outweighs the others: (N,) int8."""
+    views, count = regions.shape
+    rank, found = np.zeros(count, np.int8), np.empty(count, np.int8)
+    for v in range(views):
+        for i in range(count):
+            rank[i] = max(rank[i], RANK[regions[v, i]])
+    for i in range(count):
+        found[i] = REGION_OF_RANK[rank[i]]
+    return found

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mapping.compiled import compiled
+from mapping.threads import map_in_threads
 from perception.beside_masks import beside_all_masks
 from perception.observation import Observation, ObservedObject
 from perception.space import Region, Space
@@ -89,7 +90,7 @@ def _all_views(
     odds = np.zeros((len(points), len(place)), np.float32)
     total = np.full_like(odds, LEAST_WEIGHT)
     odds += LEAST_WEIGHT * NOBODYS
-    known = np.array([_weight(space, points) for _, space in views])
+    known = np.array(map_in_threads(lambda view: _weight(view[1], points), views))
     silent = silent_in([seen for seen, _ in views])
     # Objects about which the same views are asked share what weight is enough.
     groups = {own: number for number, own in enumerate(dict.fromkeys(silent.values()))}
@@ -107,9 +108,28 @@ def _all_views(
         columns = np.array([[k, place[seen.objects[k].label]] for k in loud])
         areas = np.array([_area(seen.objects[k], space) for k in loud], np.float32)
         _vote(odds, total, asked, columns, guess, weight, areas, enough[group], np.float32(LEAST_CHANCE))
-    odds = np.column_stack([np.zeros(len(points), np.float32), odds / total])
-    shares = np.exp(odds - odds.max(1, keepdims=True))
-    return np.asarray(shares / shares.sum(1, keepdims=True), np.float32)
+    return np.asarray(_shares(odds, total))
+
+
+@compiled
+def _shares(odds: np.ndarray, total: np.ndarray) -> np.ndarray:
+    """(N, K+1) shares of "empty" and of objects from log odds against it, each the sum odds (N, K) of votes
+    whose weights come to total (N, K)."""
+    count, objects = odds.shape
+    shares = np.empty((count, objects + 1), np.float32)
+    for i in range(count):
+        highest = np.float32(0)
+        for k in range(objects):
+            shares[i, k + 1] = odds[i, k] / total[i, k]
+            highest = max(highest, shares[i, k + 1])
+        shares[i, 0] = np.exp(-highest)
+        whole = shares[i, 0]
+        for k in range(1, objects + 1):
+            shares[i, k] = np.exp(shares[i, k] - highest)
+            whole += shares[i, k]
+        for k in range(objects + 1):
+            shares[i, k] /= whole
+    return shares
 
 
 @compiled

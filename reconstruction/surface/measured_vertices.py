@@ -25,8 +25,5 @@ def share_left(edges: Edges | JointEdges, points: np.ndarray) -> np.ndarray:
     points = np.ascontiguousarray(points, np.float32)
     left = np.ones(len(points), np.float32)
     for view in edges.views if isinstance(edges, JointEdges) else (edges,):
-        normals, behind = view.facing(points)
-        within = min(max(WITHIN, NOISES * view.noise), MOST)
-        off = np.clip(np.abs(behind) / np.float32(within), LEAST, 1)
-        left = np.minimum(left, np.where(normals.any(1), off, 1))
+        view.leave(points, min(max(WITHIN, NOISES * view.noise), MOST), LEAST, left)
     return left

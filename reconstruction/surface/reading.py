@@ -106,6 +106,22 @@ def faced(points: np.ndarray, image: Image, own: int) -> tuple[np.ndarray, np.nd
 
 
 @compiled
+def leave(points: np.ndarray, image: Image, own: int, within: float, least: float, left: np.ndarray) -> None:
+    """Lower left (N,) float32 where points (N, 3) float32 [m] are near what object `own` shows on their ray:
+    to `least` there, and linearly to 1 at a distance of `within` [m]."""
+    A, b, _, owners, _, planes = image
+    rows, columns = owners.shape
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        _, _, _, row, column = _pixel_of(x, y, z, A, b)
+        if 0 <= column < columns and 0 <= row < rows and owners[row, column] == own:
+            plane = planes[row * columns + column]
+            off = abs(plane[0] * x + plane[1] * y + plane[2] * z - plane[3]) / within
+            if off < left[i] and (plane[0] != _ZERO or plane[1] != _ZERO or plane[2] != _ZERO):
+                left[i] = max(off, least)
+
+
+@compiled
 def read_into(
     points: np.ndarray,
     image: Image,

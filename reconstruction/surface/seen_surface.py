@@ -23,6 +23,7 @@ from reconstruction.surface.reading import (
     Outline,
     Reading,
     faced,
+    leave,
     read_into,
     read_points,
 )
@@ -205,6 +206,11 @@ class Edges:
         points = np.ascontiguousarray(points, np.float32)
         normals, behind = faced(points, self.seen.image, self.index)
         return normals, behind
+
+    def leave(self, points: np.ndarray, within: float, least: float, left: np.ndarray) -> None:
+        """Lower left (N,) float32 at points (N, 3) float32 in one piece [m] that are near what the object
+        shows on their ray: to `least` there, linearly to 1 at a distance of `within` [m]."""
+        leave(points, self.seen.image, self.index, np.float32(within), np.float32(least), left)
 
     def behind(self, points: np.ndarray, distance: float) -> np.ndarray:
         """Points (N, 3) moved by `distance` [m] away from the camera."""
