@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from mapping.compiled import compiled
+
 
 def lattice_in_box(low: np.ndarray, high: np.ndarray, spacing: float) -> np.ndarray:
     """Points (H, d) float32 of the lattice of multiples of `spacing` inside a box, its borders included."""
@@ -35,16 +37,63 @@ def lattice_near_points(points: np.ndarray, distance: float, spacing: float) -> 
 
     Works on the lattice cells that hold points, so the cost does not grow with pairs.
     """
+    if not len(points):
+        return np.empty(points.shape, np.float32)
     steps = int(np.ceil(distance / spacing))
-    axes = np.ascontiguousarray(points.T)  # axis by axis: NumPy is slow at rows of three
-    cells = np.rint(axes / spacing).astype(np.int32)
-    low = cells.min(1) - steps
-    held = np.zeros(cells.max(1) - low + steps + 1, bool)
-    held[tuple(cells - low[:, None])] = True
-    if steps > 0:  # spread from each cell that holds points; the margin of `steps` keeps it in the box
-        flat = held.reshape(-1)
-        flat[np.flatnonzero(flat)[:, None] + _ball(distance / spacing, held.shape)] = True
-    return ((np.argwhere(held) + low) * spacing).astype(np.float32)
+    cells, low, high = _cells(np.ascontiguousarray(points), points.dtype.type(spacing))
+    low -= steps  # room to spread from each cell that holds points
+    shape = high - low + steps + 1
+    held = np.zeros(int(np.prod(shape)), bool)
+    offsets = _ball(distance / spacing, tuple(shape))
+    return np.asarray(_nodes(_spread(cells, low, shape, offsets, held), low, shape, spacing))
+
+
+@compiled
+def _cells(points: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The nearest multiple of `spacing` to each of points (N, d), counted in it (N, d), and the least and the
+    greatest of them along each axis (d,)."""
+    cells = np.empty(points.shape, np.int64)
+    for i in range(len(points)):
+        for axis in range(points.shape[1]):
+            cells[i, axis] = np.int64(np.rint(points[i, axis] / spacing))
+    low, high = cells[0].copy(), cells[0].copy()
+    for i in range(len(points)):
+        for axis in range(points.shape[1]):
+            low[axis] = min(low[axis], cells[i, axis])
+            high[axis] = max(high[axis], cells[i, axis])
+    return cells, low, high
+
+
+@compiled
+def _spread(
+    cells: np.ndarray, low: np.ndarray, shape: np.ndarray, offsets: np.ndarray, held: np.ndarray
+) -> np.ndarray:
+    """Which cells of a box of a shape (d,) from `low` on, held (M,) bool, are at some of `offsets` (B,) from
+    one of cells (N, d)."""
+    filled = np.zeros(len(held), np.bool_)
+    for i in range(len(cells)):
+        flat = 0
+        for axis in range(len(low)):
+            flat = flat * shape[axis] + cells[i, axis] - low[axis]
+        filled[flat] = True
+    for flat in range(len(filled)):
+        if filled[flat]:
+            for offset in offsets:
+                held[flat + offset] = True
+    return held
+
+
+@compiled
+def _nodes(held: np.ndarray, low: np.ndarray, shape: np.ndarray, spacing: float) -> np.ndarray:
+    """Places (H, d) of the cells that are held, in their order."""
+    found = np.flatnonzero(held)
+    nodes = np.empty((len(found), len(low)), np.float32)
+    for i in range(len(found)):
+        flat = found[i]
+        for axis in range(len(low) - 1, -1, -1):
+            nodes[i, axis] = (flat % shape[axis] + low[axis]) * spacing
+            flat //= shape[axis]
+    return nodes
 
 
 def _ball(radius: float, shape: tuple[int, ...]) -> np.ndarray:

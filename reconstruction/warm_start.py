@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import trimesh
-from scipy.spatial import cKDTree
 
 from mapping.contramap import ContraMap
+from mapping.known_points import among
 from perception.observation import NOTHING, OTHER
 from reconstruction.result import ObjectField
 from reconstruction.samples.training_set import TrainingSet
@@ -21,8 +21,6 @@ from reconstruction.surface.whole_shape import WholeShape
 
 SHAPES = "shapes"
 """Entry of an observation's memo, with the settings they were looked for by: shapes by label."""
-SAME = 1e-4
-"""Hinge points of one width this near to each other are the same [m]: they lie on lattices of one origin."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +46,8 @@ class Before:
     shapes: Mapping[int, WholeShape | None] = field(default_factory=dict)
 
     def weights(self, training: TrainingSet, labels: Sequence[int]) -> np.ndarray:
-        """(H, C+1) float32: the earlier weights of each hinge point and class; 0 for new ones.
+        """(H, C+1) float32: the earlier weights of each hinge point and class; 0 for new ones. Hinge points
+        of one width are the same to the bit: they lie on lattices of one origin.
 
         labels: of the objects, in the order of their classes.
         """
@@ -60,9 +59,7 @@ class Before:
         start = np.zeros((len(training.hinges), count), np.float32)
         for gamma in np.unique(training.gamma):
             here, there = np.flatnonzero(training.gamma == gamma), np.flatnonzero(self.map.gamma == gamma)
-            if len(there):
-                tree = cKDTree(self.map.hinges[there])
-                apart, nearest = tree.query(training.hinges[here], distance_upper_bound=SAME)
-                same = np.isfinite(apart)
-                start[np.ix_(here[same], new)] = earlier[np.ix_(there[nearest[same]], old)]
+            where = among(training.hinges[here], self.map.hinges[there])
+            same = where >= 0
+            start[np.ix_(here[same], new)] = earlier[np.ix_(there[where[same]], old)]
         return start
