@@ -1,7 +1,8 @@
 """Where to look next: the view that is expected to take most p(uncertain) away.
 
 Knows a fitted map, the places of its objects and camera poses; knows nothing of how views come about. A ray
-shows what lies on it up to the first thing that the map knows; what is uncertain is taken to be transparent.
+reaches a place with the chance that none of the places before it is part of a thing that the map knows; what
+is uncertain is taken to be transparent.
 What a view before has shown already, and is uncertain still, another one is not expected to tell.
 """
 
@@ -87,7 +88,7 @@ class UncertainSpace:
         axes = tuple(np.arange(a, b + spacing, spacing) for a, b in zip(low, high))
         probability = model.predict_lattice(axes)
         uncertain = probability[..., -1].reshape(-1)
-        known = (1 - probability[..., 0] - probability[..., -1]).astype(np.float32)
+        known = np.clip(1 - probability[..., 0] - probability[..., -1], 0, 1).astype(np.float32)
         nodes = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3).astype(np.float32)
         counted = np.flatnonzero((uncertain > LEAST) & near_boxes(nodes, boxes, REACH))
         counted = counted[:: 1 + len(counted) // ASKED]
@@ -119,7 +120,7 @@ class UncertainSpace:
         return open_ray
 
     def _hidden(self, points: np.ndarray, eye: np.ndarray) -> np.ndarray:
-        """The most that anything known stands between points (N, 3) and the eye (3,): (N,) in 0..1."""
+        """The chance that anything known stands between points (N, 3) and the eye (3,): (N,) in 0..1."""
         step = (eye - points) / self.spacing
         length = np.linalg.norm(step, axis=1, keepdims=True)
         step /= np.maximum(length, 1e-6)
@@ -127,15 +128,15 @@ class UncertainSpace:
             NEAREST
         ) * step
         shape = np.array(self.known.shape)
-        hidden = np.zeros(len(points), np.float32)
+        passing = np.ones(len(points), np.float32)
         rows = np.arange(len(points))
         while len(rows):
             node = np.rint(place).astype(np.int32)
             kept = ((node >= 0) & (node < shape)).all(1)  # a ray that has left the lattice never comes back
             rows, place, step, node = rows[kept], place[kept], step[kept], node[kept]
-            hidden[rows] = np.maximum(hidden[rows], self.known[tuple(node.T)])
+            passing[rows] *= 1 - self.known[tuple(node.T)]
             place = place + step
-        return np.clip(hidden, 0, 1)
+        return 1 - passing
 
 
 def next_view(

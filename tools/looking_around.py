@@ -3,7 +3,8 @@
 `python -m tools.looking_around SCENES --out docs/results/next_view.md`. Each rule starts from a scene's first
 view, chooses among the same poses on a circle, and is judged by the p(uncertain) that is left around the true
 objects after each view. Rules: look (`next_view`), rear side (unseen voxels right behind measured surfaces
-that a pose is to see), circle (in fixed steps), random.
+that a pose is to see), circle (in fixed steps), random; and, to know what is left for any rule to win, best:
+the pose that is found to leave least when all have been tried.
 """
 
 from __future__ import annotations
@@ -92,6 +93,7 @@ def main(
     candidates: int = 12,
     limit: int = 100,
     first: int = 0,
+    best: int = 0,
     ycb: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
@@ -104,10 +106,11 @@ def main(
         candidates: Poses on the circle.
         limit: Scenes of each folder, at most.
         first: Scenes of each folder passed over before.
+        best: Also try all poses for each view up to this one, and take the best; 0: do not. Slow.
         ycb: Folder of YCB scans, for scenes made of them.
         out: Also write the table to this Markdown file.
-        json: Also write what was left after each view to this file, scene by scene; those that it has are
-            taken from it.
+        json: Also write what was left after each view to this file, scene by scene and rule by rule; what it
+            has is taken from it.
     """
     from tqdm import tqdm
 
@@ -116,8 +119,8 @@ def main(
     from sim_scenes.truth import TRUTH_FILE, load_truth
     from tools.options import write_json
 
-    found = [sorted(path.parent for path in part.glob(f"*/{TRUTH_FILE}")) for part in scenes]
-    folders = [folder for of_set in found for folder in of_set[first : first + limit]]
+    sets = [sorted(path.parent for path in part.glob(f"*/{TRUTH_FILE}")) for part in scenes]
+    folders = [folder for of_set in sets for folder in of_set[first : first + limit]]
     if not folders or views < 2 or candidates < max(views, AROUND_ALL):
         places = " ".join(map(str, scenes))
         raise ConfigError(
@@ -128,8 +131,10 @@ def main(
         left = dict(read_json(json)["left"])
     for folder in tqdm(folders, desc="scenes"):
         name = str(folder.resolve())
-        if name not in left:
-            left[name] = of_scene(load_truth(folder, ycb), folder, views, candidates)
+        todo = [rule for rule in (*RULES, *[BEST] * (best > 1)) if rule not in left.get(name, {})]
+        if todo:
+            found = of_scene(load_truth(folder, ycb), folder, todo, views, candidates, best)
+            left[name] = {**left.get(name, {}), **found}
             write_json({"views": views, "candidates": candidates, "left": left}, json)
     text = table([left[str(folder.resolve())] for folder in folders], views)
     print(text)
@@ -137,7 +142,9 @@ def main(
         write_atomically(out, (HEAD.format(candidates=candidates) + text).encode())
 
 
-def of_scene(truth: Truth, folder: Path, views: int, candidates: int) -> dict[str, list[float]]:
+def of_scene(
+    truth: Truth, folder: Path, rules: Sequence[str], views: int, candidates: int, best: int
+) -> dict[str, list[float]]:
     """Rule -> p(uncertain) left after 1, 2, ... views, as a share of what the first view leaves."""
     from perception.frame_io import load_frame
     from reconstruction import reconstruct
@@ -153,19 +160,31 @@ def of_scene(truth: Truth, folder: Path, views: int, candidates: int) -> dict[st
     whole = uncertainty(start, voxels)
     seen: dict[tuple[int, ...], Reconstruction] = {(): start}  # rules often agree
     left: dict[tuple[int, ...], float] = {(): 1.0}
+
+    def look(taken: tuple[int, ...]) -> float:
+        """What is left after the views of so many poses, one after the other."""
+        if taken not in seen:
+            seen[taken] = seen[taken[:-1]].update(world.frame(poses[taken[-1]]))
+            left[taken] = uncertainty(seen[taken], voxels) / whole
+        return left[taken]
+
+    def others(taken: tuple[int, ...]) -> list[int]:
+        return [index for index in range(1, candidates) if index not in taken]
+
     found = {}
-    for rule, choose in RULES.items():
+    for rule in rules:
         rng = np.random.default_rng(len(truth.objects))
         taken: tuple[int, ...] = ()
         curve = [1.0]
-        for step in range(1, max(views, AROUND_ALL) if rule == "circle" else views):
-            free = [index for index in range(1, candidates) if index not in taken]
-            index = choose(seen[taken], poses, free, step, rng)
-            before, taken = taken, (*taken, index)
-            if taken not in seen:
-                seen[taken] = seen[before].update(world.frame(poses[index]))
-                left[taken] = uncertainty(seen[taken], voxels) / whole
-            curve.append(left[taken])
+        for step in range(1, {"circle": max(views, AROUND_ALL), BEST: best}.get(rule, views)):
+            if rule == BEST:
+                index = min(others(taken), key=lambda index: look((*taken, index)))
+                for other in others((*taken, index)):
+                    seen.pop((*taken, other), None)  # what is held of a dozen maps is a gigabyte
+            else:
+                index = RULES[rule](seen[taken], poses, others(taken), step, rng)
+            taken = (*taken, index)
+            curve.append(look(taken))
         found[rule] = curve
     return found
 
@@ -233,14 +252,15 @@ def _random(result: Any, poses: np.ndarray, free: list[int], step: int, rng: np.
 
 
 RULES: dict[str, Rule] = {"look": _look, "rear side": _rear_side, "circle": _circle, "random": _random}
+BEST = "best"
 
 HEAD = """# Where to look next
 
 `python -m tools.looking_around SCENES`: p(uncertain) left around the true objects after each view, as a
 share of what the first view leaves; means over scenes. The next view is chosen among {candidates} poses
 on a circle: by `next_view` (look), by the number of unseen voxels right behind measured surfaces that it
-is to see (rear side), in fixed steps of 60 degrees (circle), at random. Paired tests: Wilcoxon's,
-two-sided.
+is to see (rear side), in fixed steps of 60 degrees (circle), at random; best: whichever is found to leave
+least when all have been tried. Paired tests: Wilcoxon's, two-sided.
 
 """
 
@@ -249,7 +269,8 @@ def table(curves: Sequence[dict[str, list[float]]], views: int) -> str:
     """Markdown: a line for each rule, and what the paired tests say."""
     from scipy.stats import wilcoxon
 
-    rows = {rule: np.array([curve[rule] for curve in curves]) for rule in RULES}
+    rules = [rule for rule in (*RULES, BEST) if all(rule in curve for curve in curves)]
+    rows = {rule: np.array([curve[rule] for curve in curves]) for rule in rules}
     most = max(values.shape[1] for values in rows.values())
     lines = ["| rule | " + " | ".join(f"{n} views" for n in range(2, most + 1)) + " |"]
     lines.append("|---|" + "---|" * (most - 1))
