@@ -50,6 +50,10 @@ def test_lattice_near_points_is_a_ball_around_each_cell(distance):
     np.testing.assert_array_equal(near, around[gap <= distance / 0.01 + 1e-9])
 
 
+def test_lattice_near_no_points_is_empty():
+    assert lattice_near_points(np.empty((0, 3), np.float32), 0.02, 0.01).shape == (0, 3)
+
+
 def test_lattice_near_centres_stays_within_the_radius():
     centres = np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
     near = lattice_near_centres(centres, 0.15, 0.05)

@@ -55,6 +55,16 @@ def test_a_known_wall_hides_what_is_behind_it() -> None:
     assert space.gain(CAMERA, above) == pytest.approx(1.0)
 
 
+def test_two_walls_that_may_be_there_hide_more_than_one() -> None:
+    known = np.zeros((20, 10, 10), np.float32)
+    known[8] = known[12] = 0.5
+    points = np.array([[16, 4, 4], [10, 4, 4]], np.float32)
+    before = invert_rigid(look_at((-60.0, 4.5, 4.5), (0.0, 4.5, 4.5)))
+    for place, passing in zip(points, (0.25, 0.5)):
+        space = UncertainSpace(np.zeros(3), 1.0, known, place[None], np.ones(1))
+        assert space.gain(CAMERA, before) == pytest.approx(passing)
+
+
 def test_what_a_view_has_shown_is_not_expected_again() -> None:
     """Of two uncertain groups left and right of a wall, the one that was looked at stays uncertain."""
     known = np.zeros((20, 10, 10), np.float32)

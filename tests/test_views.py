@@ -17,7 +17,7 @@ from perception.frame import Frame
 from perception.frame_io import save_frame
 from perception.space import Region
 from perception.views.choosing import without_the_least_new
-from perception.views.joint_space import JointSpace
+from perception.views.joint_space import SHARED_FROM, JointSpace
 from perception.views.observing_together import observe_together
 from reconstruction import load_result, reconstruct
 from reconstruction.config import FusionConfig, MeshConfig, PipelineConfig
@@ -137,11 +137,12 @@ def test_a_camera_that_stands_still_has_another_view_with_other_noise() -> None:
         assert np.mean(apart) < 0.001
 
 
-def test_free_for_one_ray_is_free() -> None:
+@pytest.mark.parametrize("count", [3000, SHARED_FROM])
+def test_free_for_one_ray_is_free(count: int) -> None:
     joint = observe_together(views(2))
     space = JointSpace.joined(joint)
     rng = np.random.default_rng(0)
-    points = rng.uniform((-0.2, -0.2, -0.02), (0.2, 0.2, 0.25), (3000, 3)).astype(np.float32)
+    points = rng.uniform((-0.2, -0.2, -0.02), (0.2, 0.2, 0.25), (count, 3)).astype(np.float32)
     each = np.stack([one.classify(points) for one in space.views])
     found = space.classify(points)
     free = (each == Region.FREE).any(0)
@@ -153,6 +154,12 @@ def test_free_for_one_ray_is_free() -> None:
     rows = np.stack([one.look(points).behind for one in space.views])
     with np.errstate(invalid="ignore"):
         np.testing.assert_array_equal(sight.behind, np.fmin.reduce(rows))
+    # The pixel is that of a view that says so.
+    pixels = np.stack(
+        [space.stack.place(view, one.look(points).pixel) for view, one in enumerate(space.views)]
+    )
+    says = (pixels == sight.pixel) & ((rows == sight.behind) | np.isnan(sight.behind))
+    assert says.any(0).all()
 
 
 def test_a_point_of_an_object_has_its_pixel_in_the_stacked_image() -> None:
