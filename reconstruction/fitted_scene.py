@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import trimesh
 
 from mapping.contramap import ContraMap
 from mapping.errors import ConfigError
@@ -35,7 +34,7 @@ from reconstruction.samples.training_set import TrainingSet
 from reconstruction.surface.field import Field, evaluate_field
 from reconstruction.surface.joint_surface import JointSurface
 from reconstruction.surface.measured_vertices import share_left
-from reconstruction.surface.meshing import extract_mesh
+from reconstruction.surface.meshing import ObjectSolid, extract_mesh, kept_apart, mesh_of, object_solid
 from reconstruction.surface.refined import values_at
 from reconstruction.surface.seen_surface import SeenSurface, seen_by
 from reconstruction.surface.whole_shape import WholeShape, whole_shape
@@ -184,18 +183,20 @@ class FittedScene:
         """The surface of each observed object, None where the map gives it no volume."""
         objects = self.observation.objects
 
-        def extract(index: int) -> tuple[trimesh.Trimesh, np.ndarray] | None:
+        def take_up(index: int) -> ObjectSolid | None:
             points = self._points(index)
-            return extract_mesh(self.field, index, self.config.mesh, points, self.seen, self.shapes[index])
+            return object_solid(self.field, index, self.config.mesh, points, self.seen, self.shapes[index])
+
+        def extract(index: int) -> Surface | None:
+            solid = solids[index]
+            return None if solid is None else Surface(*mesh_of(solid, self.field, index, self.config.mesh))
 
         # The largest first: no thread is to start with one when the others have ended.
         sizes = [odds.size for odds in self.field.log_odds]
         asked = [index for index, item in enumerate(objects) if item.label not in self.quiet]
         order = sorted(asked, key=lambda index: -sizes[index])
-        extracted = dict(zip(order, map_in_threads(extract, order)))
-        surfaces: dict[int, Surface | None] = {
-            index: found and Surface(*found) for index, found in extracted.items()
-        }
+        solids = kept_apart(dict(zip(order, map_in_threads(take_up, order))), self.field, self.config.mesh)
+        surfaces = dict(zip(order, map_in_threads(extract, order)))
         staying = [index for index in range(len(objects)) if index not in surfaces]
         surfaces.update(zip(staying, map_in_threads(self._stays, staying)))
         return [surfaces[index] for index in range(len(objects))]
