@@ -12,7 +12,7 @@ from conftest import Shape, make_tabletop
 from perception.observing import observe
 from reconstruction.config import FusionConfig, MeshConfig, PipelineConfig
 from reconstruction.fitted_scene import FittedScene
-from reconstruction.samples.bodies import SURE, with_bodies
+from reconstruction.samples.bodies import SURE, Body, with_bodies
 from reconstruction.scene import reconstruct
 from reconstruction.surface.boxed import BoxedEdges
 from reconstruction.surface.cuboid import Cuboid
@@ -128,7 +128,8 @@ def test_depth_is_the_distance_to_the_faces() -> None:
 def test_bodies_move_guesses_within_and_beyond_them() -> None:
     guess = np.tile(np.float32([0.5, 0.3, 0.2]), (4, 1))
     depth = np.array([0.01, -0.01, np.nan, 0.002])
-    told = with_bodies(guess, np.zeros((4, 3), np.float32), [lambda points: depth, None])
+    told, filled = with_bodies(guess, np.zeros((4, 3), np.float32), [Body(lambda points: depth, True), None])
+    np.testing.assert_array_equal(filled, [True, False, False, True])
     np.testing.assert_allclose(told.sum(1), 1, rtol=1e-6)
     assert told[0, 1] > SURE
     np.testing.assert_allclose(told[1], [0.5 + 0.3 * SURE, 0.3 * (1 - SURE), 0.2], rtol=1e-6)

@@ -80,10 +80,26 @@ def test_doubt_behind_a_surface_goes_to_uncertain_and_to_no_other_class():
 
 
 def test_a_wall_keeps_its_thickness_however_much_it_is_doubted():
-    labels = label_rules.wall(TabletopLabels(), np.array([1, 2, 1]), np.array([0.0, 0.8, 1.0]), 3)
-    np.testing.assert_allclose(labels.sum(1), 1, atol=1e-6)
-    assert ((labels[:, :3] > 0) == np.eye(3, dtype=bool)[[1, 2, 1]]).all()
-    assert (np.diff(labels[:, -1]) > 0).all()
+    for filled in (np.ones(3, bool), np.zeros(3, bool)):
+        labels = label_rules.wall(TabletopLabels(), np.array([1, 2, 1]), np.array([0.0, 0.8, 1.0]), 3, filled)
+        np.testing.assert_allclose(labels.sum(1), 1, atol=1e-6)
+        assert ((labels[:, :3] > 0) == np.eye(3, dtype=bool)[[1, 2, 1]]).all()
+        assert (np.diff(labels[:, -1]) > 0).all()
+
+
+def test_what_may_be_hollow_is_less_sure_but_the_same_thing():
+    rules = TabletopLabels()
+    structure = np.array([[0.1, 0.9, 0.0], [0.1, 0.9, 0.0], [0.9, 0.1, 0.0]])
+    labels = label_rules.hidden(rules, structure, filled=np.array([True, False, False]))
+    plain = label_rules.hidden(rules, structure)
+    np.testing.assert_allclose(labels[[0, 2]], plain[[0, 2]])  # full, or empty anyway
+    assert plain[1, -1] + 0.1 < labels[1, -1] < 1
+    np.testing.assert_allclose(labels[:, :-1] / labels[:, :-1].sum(1, keepdims=True), structure, atol=1e-6)
+    full, hollow = (
+        label_rules.wall(rules, np.array([1]), np.array([0.3]), 3, np.array([filled]))
+        for filled in (True, False)
+    )
+    assert full[0, -1] + 0.1 < hollow[0, -1]
 
 
 def test_under_a_hidden_foot_nothing_is_but_how_sure_follows_what_stands_there():

@@ -7,11 +7,9 @@ found.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
-
-Body = Callable[[np.ndarray], np.ndarray]
-"""body(points (N, 3) [m]): how deep they lie in it (N,) [m], negative outside, NaN where it says nothing."""
 
 SURE = 0.8
 """So surely a hidden point is what a body says, unless it is near its surface: it is hidden all the same."""
@@ -19,17 +17,32 @@ NEAR = 0.004
 """Surfaces are known to about this [m]."""
 
 
-def with_bodies(guess: np.ndarray, points: np.ndarray, bodies: Sequence[Body | None]) -> np.ndarray:
-    """The guess (N, K+1) of {empty, object 1..K} at points (N, 3), given the bodies of the K objects."""
-    guess = guess.copy()
+class Body(NamedTuple):
+    """What is known of one object's shape.
+
+    depth: of points (N, 3) [m], how deep they lie in it (N,) [m], negative outside, NaN where it says
+    nothing. filled: it has no cavity.
+    """
+
+    depth: Callable[[np.ndarray], np.ndarray]
+    filled: bool = False
+
+
+def with_bodies(
+    guess: np.ndarray, points: np.ndarray, bodies: Sequence[Body | None]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The guess (N, K+1) of {empty, object 1..K} at points (N, 3), given the bodies of the K objects; and
+    which of the points (N,) lie in a body that is filled."""
+    guess, filled = guess.copy(), np.zeros(len(points), np.bool_)
     for own, body in enumerate(bodies, start=1):
         if body is None:
             continue
-        depth = np.nan_to_num(body(points))
+        depth = np.nan_to_num(body.depth(points))
+        filled |= body.filled & (depth > 0)
         sure = (SURE * np.clip(np.abs(depth) / NEAR, 0, 1)).astype(guess.dtype)
         within, beyond = np.where(depth > 0, sure, 0), np.where(depth < 0, sure, 0)
         guess *= (1 - within)[:, None]
         guess[:, own] += within
         guess[:, 0] += guess[:, own] * beyond
         guess[:, own] *= 1 - beyond
-    return guess
+    return guess, filled

@@ -49,11 +49,10 @@ def structure(
     points: np.ndarray,
     obstacles: np.ndarray,
     bodies: Sequence[Body | None] = (),
-) -> np.ndarray:
+) -> tuple[np.ndarray, np.ndarray]:
     """(N, K+1) guess of {empty, object 1..K} at points (N, 3) behind what is seen, none of them under a
-    support. With obstacles (M, 3), thinned surface points of what has no label, (N, K+2): they are last.
-
-    bodies: of the objects whose whole shape is known.
+    support. With obstacles (M, 3), thinned surface points of what has no label, (N, K+2): they are last. And
+    which of the points (N,) lie in a body that is filled. bodies: of the objects whose whole shape is known.
     """
     views = each_view(observation, space)
     guess = (
@@ -63,7 +62,7 @@ def structure(
     )
     if config.prior == "learned" and observation.support is not None:
         with_feet(views, [item.label for item in observation.objects], points, guess)
-    guess = with_bodies(guess, points, bodies)
+    guess, filled = with_bodies(guess, points, bodies)
     if space.guessed is not None:
         sight = space.look(points)
         early = (sight.pixel >= 0) & space.guessed.reshape(-1)[sight.pixel] & (sight.behind < 0)
@@ -71,7 +70,7 @@ def structure(
         guess[early] = 0
         guess[early, 0] = BEFORE_GUESS
         guess[np.flatnonzero(early), likely] = 1 - BEFORE_GUESS
-    return with_obstacles(observation, space, config.shell, points, guess, obstacles)
+    return with_obstacles(observation, space, config.shell, points, guess, obstacles), filled
 
 
 def _all_views(

@@ -53,12 +53,13 @@ def draw_tabletop(
     drawn = [_Drawn.of(scope) for scope in Scope.all_of(observation, space, config, rng)]
     obstacles = near_obstacles(observation, config.radius)
     asked = [part.asked for part in drawn]
-    guess = structure(observation, space, config, np.concatenate(asked), obstacles, bodies)
+    guess, filled = structure(observation, space, config, np.concatenate(asked), obstacles, bodies)
     count = guess.shape[1]
     soft: list[Labelled] = []
     fine, thin = [part.scope.seen for part in drawn], []
-    for part, of_part in zip(drawn, np.split(guess, np.cumsum([len(points) for points in asked])[:-1])):
-        labelled, walls, columns = part.labelled(of_part)
+    ends = np.cumsum([len(points) for points in asked])[:-1]
+    for part, of_part, full in zip(drawn, np.split(guess, ends), np.split(filled, ends)):
+        labelled, walls, columns = part.labelled(of_part, full)
         soft += labelled
         thin.append(walls)
         fine.append(columns)
@@ -114,9 +115,12 @@ class _Drawn:
         over[:, 2] += np.float32(2 * self.scope.floor)
         return over
 
-    def labelled(self, guess: np.ndarray) -> tuple[list[Labelled], np.ndarray, np.ndarray]:
-        """All samples with labels, from the guess (N, K+1) at the places asked; samples (M, 3) in thin walls;
-        and hidden ones (L, 3) of objects that are guessed to reach far down."""
+    def labelled(
+        self, guess: np.ndarray, filled: np.ndarray
+    ) -> tuple[list[Labelled], np.ndarray, np.ndarray]:
+        """All samples with labels, from the guess (N, K+1) at the places asked, and which of these (N,) lie
+        in what is filled; samples (M, 3) in thin walls; and hidden ones (L, 3) of objects that are guessed to
+        reach far down."""
         config, surface = self.scope.config, self.surface
         sizes = [len(surface.inside), len(surface.wall), len(self.foot)]
         at_inside, at_wall, at_foot, at_hidden = np.split(guess, np.cumsum(sizes))
@@ -125,7 +129,7 @@ class _Drawn:
         # The thin shell is a rule of thumb: nothing it says of hidden space is beyond doubt.
         rules, hidden = config.labels, self.around.hidden
         sure = rules.least_uncertain if config.prior == "learned" else rules.most_uncertain / 2
-        guessed, likely = self._guessed(hidden, at_hidden, sure)
+        guessed, likely = self._guessed(hidden, at_hidden, sure, filled[len(guess) - len(hidden) :])
         columns = hidden[likely]
         if config.noise != "occluded":
             scope = self.scope
@@ -141,20 +145,25 @@ class _Drawn:
         if config.pairs:
             soft.append((surface.before, labels.pair(config.labels, surface.owner * 0, unsure, count)))
             walls, within = surface.wall, ~surface.passed
-            soft.append((walls[within], labels.wall(rules, surface.owner[within], 1 - fill[within], count)))
+            known = filled[len(surface.inside) :][: len(walls)][within]
+            owner = surface.owner[within]
+            soft.append((walls[within], labels.wall(rules, owner, 1 - fill[within], count, known)))
             empty = np.zeros(len(walls) - within.sum(), int)
             soft.append((walls[surface.passed], labels.pair(rules, empty, 0 * empty, count)))
         # Nothing is seen of a foot that hangs in the air: the empty samples under it need a match.
-        over, standing = self._guessed(self._over_foot, at_foot, sure)
+        over, standing = self._guessed(self._over_foot, at_foot, sure, filled[sum(sizes[:2]) : sum(sizes)])
         soft.append((self._over_foot[standing], over[standing]))
         thin = surface.inside[(fill < config.thin) | surface.flat]
         return soft, thin, columns
 
-    def _guessed(self, points: np.ndarray, guess: np.ndarray, sure: float) -> tuple[np.ndarray, np.ndarray]:
-        """Labels of hidden samples (N, 3) by their guess (N, K+1); and which (N,) are likely of an object
-        whose visible part ends high above its support and them, or outside the image."""
+    def _guessed(
+        self, points: np.ndarray, guess: np.ndarray, sure: float, filled: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Labels of hidden samples (N, 3) by their guess (N, K+1), and by whether they lie in what is filled
+        (N,); and which (N,) are likely of an object whose visible part ends high above its support and them,
+        or outside the image."""
         outside = self.scope.space.pixel_of(points) < 0
-        found = labels.hidden(self.scope.config.labels, guess, sure)
+        found = labels.hidden(self.scope.config.labels, guess, sure, filled)
         found[outside] = labels.outside(self.scope.config.labels, guess[outside])
         likely = outside & (guess[:, 1:].max(1, initial=0) > COLUMN)
         for item, own in zip(self.scope.items, self.scope.classes):

@@ -22,7 +22,11 @@ BEYOND = np.float32(1e6)
 """Pixel coordinates beyond this are outside of any image."""
 LEAST_LATERAL = np.float32(5e-5)
 """Points exactly on the edge are beside it [m]."""
-_FAR, _ZERO, _HALF = np.float32(FAR), np.float32(0), np.float32(0.5)
+SHAVED = 0.1
+"""An outline is taken to be so much inside of the middle between pixels [px]: free space that was measured
+stays free although a lattice rounds outlines off."""
+_FAR, _ZERO = np.float32(FAR), np.float32(0)
+_INSIDE, _BESIDE = np.float32(0.5 + SHAVED), np.float32(0.5 - SHAVED)
 
 
 class Reading(NamedTuple):
@@ -159,7 +163,8 @@ def read_into(
             # Free space beyond an edge matters to a point that lies before the surface there.
             if free or before < _ZERO:
                 du, dv = u - edge_pixels[edge, 0], v - edge_pixels[edge, 1]
-                across = max(max(np.sqrt(du * du + dv * dv) - _HALF, _ZERO) * away / focal, LEAST_LATERAL)
+                off = np.sqrt(du * du + dv * dv) - (_BESIDE if free else _INSIDE)
+                across = max(max(off, _ZERO) * away / focal, LEAST_LATERAL)
                 # A free point before the surface that ends there is so much farther from it.
                 lateral = min(np.sqrt(across * across + before * before) if free else across, _FAR)
         # Behind what is not its own, nothing is known of this object.
