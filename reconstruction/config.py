@@ -24,7 +24,7 @@ class TabletopLabels(Checked):
 
     SECTION: ClassVar[str] = "samples.labels"
 
-    least_uncertain: Share = 0.06
+    least_uncertain: Share = 0.085
     """Share of "uncertain" in the label of an occluded sample whose structure is beyond doubt."""
     most_uncertain: Share = 0.95
     """Share of "uncertain" in the label of a sample of which nothing is known."""

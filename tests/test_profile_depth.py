@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from reconstruction.surface.profile_depth import CELL, DEEP, UNKNOWN, depth_table, fill, is_vessel
+from reconstruction.surface.profile_depth import CELL, UNKNOWN, depth_table, is_vessel
+from reconstruction.surface.unseen_cavity import DEEP, fill, hollow_out, opens
 
 ROWS, COLUMNS, LOW = 48, 60, -0.02
 
@@ -75,3 +78,47 @@ def test_what_nobody_knows_within_a_surface_is_filled_and_nothing_else() -> None
     assert filled[cell(0.04, 0)[0] + 8, 2] == table[cell(0.04, 0)[0] + 8, 2]
     above = cell(0.0, 0.075)[1]
     np.testing.assert_array_equal(filled[:, above], table[:, above])
+
+
+def turned(
+    radius_at: Callable[[np.ndarray], np.ndarray], lid_at: float | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """A profile (M, 2) from height 0 to 60 mm with radii by height, and its normals; with a lid."""
+    heights = np.random.default_rng(0).uniform(0, 0.06, 600)
+    radii = radius_at(heights)
+    slope = (radius_at(heights + 1e-5) - radius_at(heights - 1e-5)) / 2e-5
+    inwards = np.stack([-np.ones_like(slope), slope], 1) / np.hypot(1, slope)[:, None]
+    profile = np.stack([radii, heights], 1)
+    if lid_at is not None:
+        lid = np.stack([np.linspace(0, 0.9 * radii.min(), 100), np.full(100, lid_at)], 1)
+        profile = np.concatenate([profile, lid])
+        inwards = np.concatenate([inwards, np.tile([0.0, 1.0 if lid_at < 0.03 else -1.0], (100, 1))])
+    return profile, inwards
+
+
+def cone(height: np.ndarray) -> np.ndarray:
+    return 0.05 - 0.25 * height  # wide below
+
+
+def test_a_vessel_upside_down_opens_and_a_can_or_ball_does_not() -> None:
+    ended = rays_passed(0.06) | ~rays_passed(0.0)  # above it and below it
+    assert opens(*turned(cone, lid_at=0.06), LOW, ended)  # what was its bottom is on top
+    assert opens(*turned(lambda z: cone(0.06 - z)), LOW, ended)
+    assert not opens(*turned(cone, lid_at=0.0), LOW, ended)  # closed where it is wide
+    assert not opens(*turned(lambda z: 0.04 + 0 * z, lid_at=0.06), LOW, ended)
+    assert not opens(*turned(lambda z: np.sqrt(0.035**2 - np.minimum(z - 0.03, 0.034) ** 2)), LOW, ended)
+    assert not opens(*turned(lambda z: cone(z) / 3), LOW, ended)  # a tool's handle
+    # Nobody saw where it ends.
+    assert not opens(*turned(cone, lid_at=0.06), LOW, rays_passed(0.06))
+
+
+def test_a_cavity_that_nobody_saw_has_a_thin_wall_around_it() -> None:
+    table = depth_table(*turned(cone, lid_at=0.06), LOW, rays_passed(0.066))
+    hollowed = table.copy()
+    hollow_out(hollowed)
+    outside = cone(np.array(0.03))
+    assert hollowed[cell(outside - 0.002, 0.03)] > 0.001
+    assert (hollowed[: cell(outside - 0.009, 0)[0], cell(0, 0.03)[1]] == -DEEP).all()
+    assert hollowed[cell(0.0, 0.058)] > 0.001 > -0.001 > hollowed[cell(0.0, 0.05)]  # below its bottom
+    off = table < 0
+    np.testing.assert_array_equal(hollowed[off], table[off])

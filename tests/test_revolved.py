@@ -11,10 +11,10 @@ from conftest import Shape, make_tabletop
 
 from perception.observing import observe
 from reconstruction.config import FusionConfig
-from reconstruction.surface.profile_depth import DEEP
 from reconstruction.surface.revolved import RevolvedEdges
 from reconstruction.surface.seen_surface import Edges, SeenSurface
 from reconstruction.surface.slanted_axis import slanted_axis
+from reconstruction.surface.unseen_cavity import DEEP
 from reconstruction.surface.vertical_axis import vertical_axis
 from reconstruction.surface.whole_shape import whole_shape
 

@@ -34,8 +34,6 @@ point's own is wrong: at outlines, planes reach round edges."""
 STEEP, INNER_SHARE = 0.3, 0.03
 """A wall's normal is level by at least this sine; a body of which more of the points than this share are on
 inner walls is a vessel."""
-DEEP = np.float32(0.0025)
-"""Depth of what is filled [m]: no more, for nobody saw it, and who asks how sure it is goes by the depth."""
 _RINGS = round(2 * NEAR / CELL)
 """Measured points are looked for within so many cells ..."""
 _REACH = int(np.ceil(np.hypot(NEAR, BESIDE) / CELL))
@@ -76,19 +74,6 @@ def is_vessel(inwards: np.ndarray) -> bool:
     Seen from outside alone, a ball and a bowl upside down are alike; there are more of the first.
     """
     return bool((inwards[:, 0] > STEEP).mean() > INNER_SHARE)
-
-
-@compiled
-def fill(depth: np.ndarray) -> None:
-    """Take what a table (R, Z) does not know nearer to the axis than the body's surface for its inside."""
-    rows, columns = depth.shape
-    for c in range(columns):
-        within = False
-        for r in range(rows - 1, -1, -1):
-            if depth[r, c] < UNKNOWN:
-                within = depth[r, c] >= 0
-            elif within:
-                depth[r, c] = DEEP
 
 
 @compiled

@@ -18,10 +18,11 @@ import numpy as np
 
 from mapping.compiled import compiled
 from reconstruction.surface.joint_surface import JointEdges
-from reconstruction.surface.profile_depth import CELL, NEAR, UNKNOWN, depth_table, fill, is_vessel
+from reconstruction.surface.profile_depth import CELL, NEAR, UNKNOWN, depth_table, is_vessel
 from reconstruction.surface.reading import Reading
 from reconstruction.surface.seen_surface import Edges
 from reconstruction.surface.slanted_axis import slanted_axis
+from reconstruction.surface.unseen_cavity import fill, hollow_out, opens
 from reconstruction.surface.vertical_axis import vertical_axis
 
 ANGLES = 24
@@ -119,9 +120,12 @@ class RevolvedEdges:
         )
         empty = _empty(read, axis, low, shape.astype(int))
         depth = depth_table(profile, inwards, low, empty)
-        full = not is_vessel(inwards)
+        from_outside = not is_vessel(inwards)
+        full = from_outside and not opens(profile, inwards, low, empty)
         if full:
             fill(depth)
+        elif from_outside:
+            hollow_out(depth)
         return cls(edges, turn, axis, low, depth, turned[whole].reshape(-1, 3) @ turn, wall, full)
 
     def read(self, points: np.ndarray) -> Reading:
