@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 
 from reconstruction.surface.profile_depth import CELL, UNKNOWN, depth_table, is_vessel
-from reconstruction.surface.unseen_cavity import DEEP, fill, hollow_out, opens
+from reconstruction.surface.unseen_cavity import DEEP, Cavity, cavity, fill, hollow_out
 
 ROWS, COLUMNS, LOW = 48, 60, -0.02
 
@@ -102,23 +103,36 @@ def cone(height: np.ndarray) -> np.ndarray:
 
 def test_a_vessel_upside_down_opens_and_a_can_or_ball_does_not() -> None:
     ended = rays_passed(0.06) | ~rays_passed(0.0)  # above it and below it
-    assert opens(*turned(cone, lid_at=0.06), LOW, ended)  # what was its bottom is on top
-    assert opens(*turned(lambda z: cone(0.06 - z)), LOW, ended)
-    assert not opens(*turned(cone, lid_at=0.0), LOW, ended)  # closed where it is wide
-    assert not opens(*turned(lambda z: 0.04 + 0 * z, lid_at=0.06), LOW, ended)
-    assert not opens(*turned(lambda z: np.sqrt(0.035**2 - np.minimum(z - 0.03, 0.034) ** 2)), LOW, ended)
-    assert not opens(*turned(lambda z: cone(z) / 3), LOW, ended)  # a tool's handle
+    found = cavity(*turned(cone, lid_at=0.06), LOW, ended)  # what was its bottom is on top
+    assert found is not None
+    assert not found.upper
+    assert found.bottom == pytest.approx(0.06, abs=2e-3)
+    found = cavity(*turned(lambda z: cone(0.06 - z)), LOW, ended)
+    assert found is not None
+    assert found.upper
+    assert found.bottom == pytest.approx(0, abs=2e-3)
+    assert cavity(*turned(cone, lid_at=0.0), LOW, ended) is None  # closed where it is wide
+    assert cavity(*turned(lambda z: 0.04 + 0 * z, lid_at=0.06), LOW, ended) is None
+    ball = turned(lambda z: np.sqrt(0.035**2 - np.minimum(z - 0.03, 0.034) ** 2))
+    assert cavity(*ball, LOW, ended) is None
+    assert cavity(*turned(lambda z: cone(z) / 3), LOW, ended) is None  # a tool's handle
     # Nobody saw where it ends.
-    assert not opens(*turned(cone, lid_at=0.06), LOW, rays_passed(0.06))
+    assert cavity(*turned(cone, lid_at=0.06), LOW, rays_passed(0.06)) is None
 
 
 def test_a_cavity_that_nobody_saw_has_a_thin_wall_around_it() -> None:
     table = depth_table(*turned(cone, lid_at=0.06), LOW, rays_passed(0.066))
     hollowed = table.copy()
-    hollow_out(hollowed)
+    hollow_out(hollowed, LOW, Cavity(upper=False, bottom=None))
     outside = cone(np.array(0.03))
     assert hollowed[cell(outside - 0.002, 0.03)] > 0.001
     assert (hollowed[: cell(outside - 0.009, 0)[0], cell(0, 0.03)[1]] == -DEEP).all()
     assert hollowed[cell(0.0, 0.058)] > 0.001 > -0.001 > hollowed[cell(0.0, 0.05)]  # below its bottom
     off = table < 0
     np.testing.assert_array_equal(hollowed[off], table[off])
+
+
+def test_the_bottom_of_a_cavity_that_nobody_saw_is_closed() -> None:
+    table = depth_table(*turned(cone), LOW, rays_passed(0.066))
+    hollow_out(table, LOW, Cavity(upper=False, bottom=0.06))
+    assert table[cell(0.0, 0.058)] == DEEP > 0 > table[cell(0.0, 0.05)]

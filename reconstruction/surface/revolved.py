@@ -22,7 +22,7 @@ from reconstruction.surface.profile_depth import CELL, NEAR, UNKNOWN, depth_tabl
 from reconstruction.surface.reading import Reading
 from reconstruction.surface.seen_surface import Edges
 from reconstruction.surface.slanted_axis import slanted_axis
-from reconstruction.surface.unseen_cavity import fill, hollow_out, opens
+from reconstruction.surface.unseen_cavity import cavity, fill, hollow_out
 from reconstruction.surface.vertical_axis import vertical_axis
 
 ANGLES = 24
@@ -121,11 +121,12 @@ class RevolvedEdges:
         empty = _empty(read, axis, low, shape.astype(int))
         depth = depth_table(profile, inwards, low, empty)
         from_outside = not is_vessel(inwards)
-        full = from_outside and not opens(profile, inwards, low, empty)
-        if full:
-            fill(depth)
+        hollow = cavity(profile, inwards, low, empty) if from_outside else None
+        if hollow is not None:
+            hollow_out(depth, low, hollow)
         elif from_outside:
-            hollow_out(depth)
+            fill(depth)
+        full = from_outside and hollow is None
         return cls(edges, turn, axis, low, depth, turned[whole].reshape(-1, 3) @ turn, wall, full)
 
     def read(self, points: np.ndarray) -> Reading:

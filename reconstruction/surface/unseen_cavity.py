@@ -5,6 +5,8 @@ Knows a profile's points and normals and its table of depths; knows nothing of i
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from mapping.compiled import compiled
@@ -33,35 +35,47 @@ LID_SHARE = 0.02
 _WALL = np.float32(THINNEST)
 
 
-def opens(profile: np.ndarray, inwards: np.ndarray, low: float, empty: np.ndarray) -> bool:
-    """Whether a body widens to one of its ends, ends there, and is not seen to be closed: a cup or bowl
-    upside down. Balls, cans and bottles do not; of a ball half hidden nobody knows where it ends.
+@dataclass(frozen=True)
+class Cavity:
+    """Which way a cavity opens, and the height of its closed bottom [m], None where that end is not known."""
+
+    upper: bool
+    bottom: float | None
+
+
+def cavity(profile: np.ndarray, inwards: np.ndarray, low: float, empty: np.ndarray) -> Cavity | None:
+    """The cavity of a body that widens to one of its ends, ends there, and is not seen to be closed: a cup or
+    bowl upside down. Balls, cans and bottles have none; of a ball half hidden nobody knows where it ends.
 
     profile: (M, 2) radii and heights of points on its outside [m]; inwards: (M, 2) normals, into the body;
     empty: (R, Z) bool, what rays passed, `CELL` apart in radius from 0 on and in height from `low` [m] on.
     """
     bottom, top = np.percentile(profile[:, 1], [1, 99])
     if top - bottom < HIGH:
-        return False
+        return None
     level = (profile[:, 1] - bottom) / (top - bottom)
     ends = level < END, level > 1 - END
     bands = ends[0], np.abs(level - 0.5) < MIDDLE, ends[1]
     if min(np.count_nonzero(band) for band in bands) == 0:
-        return False
+        return None
     below, half, above = (float(np.percentile(profile[band, 0], OUTER)) for band in bands)
     upper = above > below
     wide, narrow = (above, below) if upper else (below, above)
     if wide < max(WIDE, WIDER * half) or half < narrow:
-        return False
-    beyond = [top + reach if upper else bottom - reach for reach in PAST]
-    first, last = sorted(min(max(int((height - low) / CELL), 0), empty.shape[1] - 1) for height in beyond)
-    rim = [int(share * wide / CELL) for share in RIM]
-    if not empty[rim[0] : rim[1] + 1, first : last + 1].mean() > PASSED_SHARE:
-        return False
+        return None
+
+    def ended(radius: float, up: bool) -> bool:
+        beyond = [top + reach if up else bottom - reach for reach in PAST]
+        first, last = sorted(min(max(int((z - low) / CELL), 0), empty.shape[1] - 1) for z in beyond)
+        rim = [int(share * radius / CELL) for share in RIM]
+        return bool(empty[rim[0] : rim[1] + 1, first : last + 1].mean() > PASSED_SHARE)
+
     end = ends[int(upper)]
     away = -inwards[end, 1] if upper else inwards[end, 1]
     lid = (away > ALONG) & (profile[end, 0] < COVERED * wide)
-    return bool(lid.mean() <= LID_SHARE)
+    if not ended(wide, upper) or lid.mean() > LID_SHARE:
+        return None
+    return Cavity(upper, float(bottom if upper else top) if ended(narrow, not upper) else None)
 
 
 @compiled
@@ -77,15 +91,25 @@ def fill(depth: np.ndarray) -> None:
                 depth[r, c] = DEEP
 
 
+def hollow_out(depth: np.ndarray, low: float, cavity: Cavity) -> None:
+    """The same, but take it for a cavity behind a thin wall. low: height of the table's first row [m]."""
+    first, last = 0, 0
+    if cavity.bottom is not None:
+        inner = cavity.bottom + (THINNEST if cavity.upper else -THINNEST)
+        first, last = sorted(round((height - low) / CELL) for height in (cavity.bottom, inner))
+    _hollow_out(depth, first, last)
+
+
 @compiled
-def hollow_out(depth: np.ndarray) -> None:
-    """The same, but take it for a cavity behind a thin wall."""
+def _hollow_out(depth: np.ndarray, first: int, last: int) -> None:
+    """The same; the columns of the bottom are those from `first` to before `last`."""
     rows, columns = depth.shape
     for c in range(columns):
         within = False
         for r in range(rows - 1, -1, -1):
             if depth[r, c] < UNKNOWN:
                 within = depth[r, c] >= 0
-                depth[r, c] = min(depth[r, c], max(_WALL - depth[r, c], -DEEP))
+                if not first <= c < last:
+                    depth[r, c] = min(depth[r, c], max(_WALL - depth[r, c], -DEEP))
             elif within:
-                depth[r, c] = -DEEP
+                depth[r, c] = DEEP if first <= c < last else -DEEP
