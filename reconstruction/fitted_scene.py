@@ -27,12 +27,10 @@ from perception.views.joint_space import each_view, space_of
 from perception.views.observing_together import observe_together
 from reconstruction.config import PaperSamples, PipelineConfig
 from reconstruction.quiet import quiet_objects
-from reconstruction.samples.bodies import Body
 from reconstruction.samples.paper import draw_paper
 from reconstruction.samples.silent import keep_silent
 from reconstruction.samples.tabletop import draw_tabletop
 from reconstruction.samples.training_set import TrainingSet
-from reconstruction.surface.boxed import BoxedEdges
 from reconstruction.surface.field import Field, evaluate_field
 from reconstruction.surface.joint_surface import JointSurface
 from reconstruction.surface.measured_vertices import share_left
@@ -109,11 +107,7 @@ class FittedScene:
             return draw_paper(settings, self.observation, self.space, self.rng)
         if isinstance(self.observation, JointObservation):
             keep_silent(self.observation.views[-1].observation, self.quiet)
-        bodies = [
-            None if shape is None else Body(shape.depth_known, isinstance(shape, BoxedEdges))
-            for shape in self.shapes
-        ]
-        return draw_tabletop(settings, self.observation, self.space, self.rng, bodies)
+        return draw_tabletop(settings, self.observation, self.space, self.rng, self.shapes)
 
     @cached_property
     def map(self) -> ContraMap:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from conftest import Shape, make_tabletop
 from perception.observing import observe
 from reconstruction.config import FusionConfig, MeshConfig, PipelineConfig
 from reconstruction.fitted_scene import FittedScene
-from reconstruction.samples.bodies import SURE, Body, with_bodies
+from reconstruction.samples.bodies import SURE, with_bodies
 from reconstruction.scene import reconstruct
 from reconstruction.surface.boxed import BoxedEdges
 from reconstruction.surface.cuboid import Cuboid
@@ -128,7 +129,14 @@ def test_depth_is_the_distance_to_the_faces() -> None:
 def test_bodies_move_guesses_within_and_beyond_them() -> None:
     guess = np.tile(np.float32([0.5, 0.3, 0.2]), (4, 1))
     depth = np.array([0.01, -0.01, np.nan, 0.002])
-    told, filled = with_bodies(guess, np.zeros((4, 3), np.float32), [Body(lambda points: depth, True), None])
+
+    class Known:
+        filled: ClassVar[bool] = True
+
+        def depth_known(self, points: np.ndarray) -> np.ndarray:
+            return depth
+
+    told, filled = with_bodies(guess, np.zeros((4, 3), np.float32), [Known(), None])
     np.testing.assert_array_equal(filled, [True, False, False, True])
     np.testing.assert_allclose(told.sum(1), 1, rtol=1e-6)
     assert told[0, 1] > SURE

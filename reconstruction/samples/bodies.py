@@ -6,8 +6,8 @@ found.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -17,15 +17,14 @@ NEAR = 0.004
 """Surfaces are known to about this [m]."""
 
 
-class Body(NamedTuple):
-    """What is known of one object's shape.
+class Body(Protocol):
+    """What is known of one object's shape."""
 
-    depth: of points (N, 3) [m], how deep they lie in it (N,) [m], negative outside, NaN where it says
-    nothing. filled: it has no cavity.
-    """
+    filled: ClassVar[bool]
+    """Whether things of its kind have no cavity."""
 
-    depth: Callable[[np.ndarray], np.ndarray]
-    filled: bool = False
+    def depth_known(self, points: np.ndarray) -> np.ndarray:
+        """How deep points (N, 3) [m] lie in it (N,) [m], negative outside, NaN where it says nothing."""
 
 
 def with_bodies(
@@ -37,7 +36,7 @@ def with_bodies(
     for own, body in enumerate(bodies, start=1):
         if body is None:
             continue
-        depth = np.nan_to_num(body.depth(points))
+        depth = np.nan_to_num(body.depth_known(points))
         filled |= body.filled & (depth > 0)
         sure = (SURE * np.clip(np.abs(depth) / NEAR, 0, 1)).astype(guess.dtype)
         within, beyond = np.where(depth > 0, sure, 0), np.where(depth < 0, sure, 0)

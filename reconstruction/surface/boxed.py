@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -37,6 +38,8 @@ class BoxedEdges:
     not on its faces [m]; wall: what is measured is at least so thick [m].
     """
 
+    filled: ClassVar[bool] = True
+    """Cartons have no cavity."""
     edges: Edges | JointEdges
     cuboid: Cuboid
     astray: np.ndarray

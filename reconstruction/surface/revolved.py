@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -59,6 +60,8 @@ class RevolvedEdges:
     what is measured is at least so thick [m]; full: it is no vessel.
     """
 
+    filled: ClassVar[bool] = False
+    """Many round things are hollow."""
     edges: Edges | JointEdges
     turn: np.ndarray
     axis: np.ndarray
