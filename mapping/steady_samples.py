@@ -42,15 +42,32 @@ def steady_subsample(points: np.ndarray, order: np.ndarray, size: float, seed: i
     float32: one of those first in `order` (N,) int, whichever the seed picks."""
     if len(points) == 0:
         return np.empty(0, np.int64)
-    cells = np.floor(np.ascontiguousarray(points.T, float) / size).astype(np.int64)
-    cells -= cells.min(1, keepdims=True)
-    extent = cells.max(1) + 1
-    key, count = np.ravel_multi_index(tuple(cells), tuple(extent)), int(np.prod(extent))
+    key, count = _cells(np.ascontiguousarray(points, np.float32), size)
     if count > max(LARGEST_TABLE * len(points), 1 << 16):
         filled, key = np.unique(key, return_inverse=True)
         count = len(filled)
     marks = _marks(_bits(points), _salt(seed, size))
-    return np.asarray(_first_of_each(key.astype(np.int64), order.astype(np.int64), marks, count))
+    return np.asarray(_first_of_each(key, order.astype(np.int64), marks, count))
+
+
+@compiled
+def _cells(points: np.ndarray, size: float) -> tuple[np.ndarray, int]:
+    """The cell, between multiples of `size`, of each of points (N, 3), as one number (N,) of the box that
+    holds them all, and how many cells that has."""
+    cells = np.empty(points.shape, np.int64)
+    for i in range(len(points)):
+        for axis in range(3):
+            cells[i, axis] = np.int64(np.floor(np.float64(points[i, axis]) / size))
+    low, high = cells[0].copy(), cells[0].copy()
+    for i in range(len(points)):
+        for axis in range(3):
+            low[axis] = min(low[axis], cells[i, axis])
+            high[axis] = max(high[axis], cells[i, axis])
+    extent, key = high - low + 1, np.empty(len(points), np.int64)
+    for i in range(len(points)):
+        x, y, z = cells[i, 0] - low[0], cells[i, 1] - low[1], cells[i, 2] - low[2]
+        key[i] = (x * extent[1] + y) * extent[2] + z
+    return key, extent[0] * extent[1] * extent[2]
 
 
 def _bits(points: np.ndarray) -> np.ndarray:

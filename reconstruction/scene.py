@@ -11,6 +11,7 @@ import numpy as np
 import trimesh
 
 from mapping.errors import ConfigError, DataError, FrameError
+from mapping.threads import map_in_threads
 from perception.camera import invert_rigid, transform
 from perception.frame import Frame
 from perception.observation import Observation, ObservedObject, Skipped
@@ -150,17 +151,25 @@ def deliver(scene: FittedScene) -> Reconstruction:
     """What a scene says of its objects, placed in the world frame. Raises DataError when it has none."""
     observation, frame = scene.observation, scene.shown
     T_world_table = frame.camera.T_world_camera @ np.linalg.inv(observation.T_table_camera)
-    objects: list[ReconstructedObject] = []
-    fields: list[ObjectField] = []
     skipped, notes = list(observation.skipped), list(observation.notes)
-    for index, (item, surface) in enumerate(zip(observation.objects, scene.meshes)):
+
+    def place(index: int) -> tuple[ReconstructedObject, ObjectField, list[str]] | None:
+        item, surface = observation.objects[index], scene.meshes[index]
         if surface is None:
-            skipped.append(Skipped(item.label, item.name, "the map gives it no volume at this resolution"))
-            continue
+            return None
         vertices = np.asarray(surface.mesh.vertices)
-        notes += beyond_its_mesh(item, vertices)
-        fields.append(surface.field or _object_field(scene.field, index, item, vertices))
-        objects.append(_place(surface, item, index + 1, T_world_table))
+        field = surface.field or _object_field(scene.field, index, item, vertices)
+        placed = _place(surface, item, index + 1, T_world_table)
+        return placed, field, beyond_its_mesh(item, vertices)
+
+    found = map_in_threads(place, range(len(observation.objects)))
+    for item, one in zip(observation.objects, found):
+        if one is None:
+            skipped.append(Skipped(item.label, item.name, "the map gives it no volume at this resolution"))
+        else:
+            notes += one[2]
+    objects = [one[0] for one in found if one is not None]
+    fields = [one[1] for one in found if one is not None]
     if not objects:
         raise DataError(f"{frame.source}: no object has volume at a spacing of {scene.config.mesh.spacing} m")
     return Reconstruction(

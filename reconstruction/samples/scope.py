@@ -46,7 +46,8 @@ class Scope:
             items = tuple(observation.objects[index] for index in group)
             seen = np.concatenate([item.outline for item in items])
             radius = max(item.reach(config.radius, config.radius_share) for item in items)
-            low, high = seen.min(0) - radius, seen.max(0) + radius
+            lows, highs = zip(*(item.bounds for item in items))
+            low, high = np.min(lows, 0) - radius, np.max(highs, 0) + radius
             floor = items[0].floor
             if observation.support is not None:
                 low[2] = floor
