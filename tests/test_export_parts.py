@@ -10,7 +10,7 @@ from reconstruction.export.collision import ConvexParts
 from reconstruction.export.contacts import Contacts, contacts_of
 from reconstruction.export.cutting import Cutter, solid_of
 from reconstruction.export.footing import PATCH, with_footing
-from reconstruction.export.hulls import convex_hull
+from reconstruction.export.hulls import convex_hull, surfaces
 from reconstruction.export.parts_error import parts_error
 from reconstruction.export.refine import refined
 from reconstruction.export.tips import tips
@@ -95,6 +95,23 @@ def test_a_hull_over_a_hollow_is_halved_until_it_bulges_no_more():
     # What is convex is never cut, however far it is said to bulge; neither is what is not manifold.
     assert whole.halve([0], np.zeros((1, 3))) == [[]]
     assert Cutter(None, [hull]).halve([0], np.zeros((1, 3))) == [[]]
+
+
+def test_a_splinter_beside_its_mesh_that_cannot_be_cut_is_left_out():
+    body = trimesh.creation.box((0.05,) * 3)
+    splinter = box((0.01, 0.0001, 0.001), (0, 0, 0.032))  # 1 mm^3, 7 mm off the body
+    lump = box((0.01, 0.01, 0.01), (0, 0, 0.032))
+    parts = surfaces([body, splinter, lump])
+
+    def uncut(wanted, places):
+        return [[] for _ in wanted]
+
+    kept = refined(parts, Solid(body), uncut, 0.0025, splinter=2e-9)
+    assert [len(part.vertices) for part in kept] == [8, 8]
+    assert min(part.volume for part in kept) == pytest.approx(1e-6)
+    assert len(refined(parts, Solid(body), uncut, 0.0025)) == 3
+    near = surfaces([body, box((0.01, 0.0001, 0.001), (0, 0, 0.026))])
+    assert len(refined(near, Solid(body), uncut, 0.0025, splinter=2e-9)) == 2  # it does not bulge
 
 
 def test_a_part_bulges_less_where_another_mesh_is():

@@ -32,8 +32,10 @@ from reconstruction.export.tips import tips
 from reconstruction.solid import Solid
 
 Cutter = Literal["halves", "coacd"]
-VERSION = "5"
+VERSION = "6"
 """Changes when the same mesh would be cut differently by this code."""
+SPLINTER = 2e-9
+"""Volume of a part, mostly beside its mesh, that bulges though it cannot be cut [m^3]: rather none."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +166,7 @@ def _cut(
     def finished(
         begun: Sequence[Surface], halve: Callable[..., list[list[Surface]]]
     ) -> list[trimesh.Trimesh]:
-        parts = refined(begun, solid, halve, config.bulge, beside)
+        parts = refined(begun, solid, halve, config.bulge, beside, SPLINTER)
         return parts + tips(mesh, parts, config.bulge)
 
     halved: dict[str, Any] = {"coacd": None, "simplify": config.simplify}

@@ -37,11 +37,13 @@ def refined(
     halve: Callable[[Sequence[int], np.ndarray], list[list[Surface]]],
     limit: float,
     beside: Sequence[Solid] = (),
+    splinter: float = 0.0,
 ) -> list[trimesh.Trimesh]:
     """Convex parts of a solid [m], halved until none bulges out of it by more than `limit` [m] where that can
     be had.
 
     halve: as Cutter.halve, of a cutter that has these parts now. beside: where those are it is CROWDED.
+    splinter: parts of no more than this volume [m^3] that bulge and cannot be cut are left out.
     """
     todo = list(parts)
     done: list[Surface] = []
@@ -53,7 +55,9 @@ def refined(
         places = np.array([worst[number][1] for number in wanted], float).reshape(-1, 3)
         halves = halve(wanted, places) if wanted else []
         whole = {number for number, pair in zip(wanted, halves) if not pair}
-        done += [part for number, part in enumerate(todo) if number in whole or number not in wanted]
+        dropped = {number for number in whole if as_mesh(todo[number]).volume <= splinter}
+        kept = whole - dropped
+        done += [part for number, part in enumerate(todo) if number in kept or number not in wanted]
         todo = [half for pair in halves for half in pair]
     return [as_mesh(part) for part in done + todo]
 
