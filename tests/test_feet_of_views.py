@@ -38,7 +38,7 @@ def share_at(scene: FittedScene, height: float) -> float:
     local = (points - T_world_table[:3, 3].astype(np.float32)) @ T_world_table[:3, :3].astype(np.float32)
     column = 1 + [item.label for item in scene.observation.objects].index(1)
     none = np.empty((0, 3), np.float32)
-    guess = structure(scene.observation, scene.space, TabletopSamples(), local, none)
+    guess, _ = structure(scene.observation, scene.space, TabletopSamples(), local, none)
     return float(guess[:, column].min())
 
 

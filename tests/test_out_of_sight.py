@@ -10,7 +10,10 @@ from trimesh import Trimesh
 from perception import Camera, Frame, observe
 from perception.camera import invert_rigid, transform
 from reconstruction import reconstruct
+from reconstruction.config import PipelineConfig
+from reconstruction.fitted_scene import FittedScene
 from reconstruction.metrics import mesh_iou
+from reconstruction.samples.structure import BEHIND_OTHERS, lean_behind_others
 
 CUT = 3
 """The cylinder, cut by the image's lower border."""
@@ -91,3 +94,24 @@ def test_a_thing_seen_from_above_on_another_does_not_go_through_it() -> None:
 def test_a_table_without_slant_tells_no_kind_of_depth(tilt: float) -> None:
     scene = make_tabletop(eye=(-tilt, 0.0, 0.8), target=(0.0, 0.0, 0.0))
     assert len(observe(scene.frame).objects) == 4
+
+
+def test_what_another_object_hides_counts_more_and_what_an_object_hides_itself_does_not() -> None:
+    boxes = (
+        Shape("box", (0.05, 0.1, 0.08), (0.0, 0.0, 0.04)),
+        Shape("box", (0.05, 0.2, 0.04), (0.1, 0.0, 0.02)),
+    )
+    scene = FittedScene.of(make_tabletop(boxes).frame, PipelineConfig())
+    own, other = scene.observation.objects
+    hidden = own.points[:: 1 + len(own.points) // 50] + np.float32([0.02, 0, -0.01])
+    plain = np.tile(np.float32([0.5, 0.3, 0.2]), (len(hidden), 1))
+    guess = plain.copy()
+    lean_behind_others(scene.observation, scene.space, hidden, guess)
+    np.testing.assert_allclose(guess.sum(1), 1, atol=1e-6)
+    behind = scene.space.pixel_of(hidden)
+    of_own = np.isin(behind, own.pixels)
+    assert of_own.mean() > 0.3
+    np.testing.assert_allclose(guess[of_own, 1] / guess[of_own, 0], 0.3 / 0.5, rtol=1e-5)
+    np.testing.assert_allclose(guess[of_own, 2] / guess[of_own, 0], BEHIND_OTHERS * 0.2 / 0.5, rtol=1e-5)
+    elsewhere = ~of_own & ~np.isin(behind, other.pixels)
+    np.testing.assert_array_equal(guess[elsewhere], plain[elsewhere])

@@ -10,7 +10,7 @@ import numpy as np
 
 from reconstruction.config import TabletopLabels
 
-HOLLOW = 2.7
+HOLLOW = 2.0
 """Odds of "uncertain" count so many times where a hidden sample is guessed to be an object's that is not
 known to be filled: many are hollow. Of hidden places that maps of simulated scenes call an object's with a
 chance of 0.9, a third are empty; of those that they call empty with that chance, a tenth are not."""

@@ -28,6 +28,10 @@ from reconstruction.samples.silent import silent_in
 BEFORE_GUESS = 0.7
 """Chance that the ray is free before a surface that was guessed, not measured."""
 
+BEHIND_OTHERS = 1.6
+"""Behind another object an object counts this many times against empty space: place by place it ends where it
+is as likely as not, and most of what others hide would be missing."""
+
 HALF_KNOWN = 0.01
 """A view's guess counts half where a point lies this deep behind what it measured [m]."""
 OUTSIDE_WEIGHT = 0.02
@@ -62,6 +66,8 @@ def structure(
     )
     if config.prior == "learned" and observation.support is not None:
         with_feet(views, [item.label for item in observation.objects], points, guess)
+    if len(views) == 1:
+        lean_behind_others(observation, space, points, guess)
     guess, filled = with_bodies(guess, points, bodies)
     if space.guessed is not None:
         sight = space.look(points)
@@ -71,6 +77,21 @@ def structure(
         guess[early, 0] = BEFORE_GUESS
         guess[np.flatnonzero(early), likely] = 1 - BEFORE_GUESS
     return with_obstacles(observation, space, config.shell, points, guess, obstacles), filled
+
+
+def lean_behind_others(observation: Observation, space: Space, points: np.ndarray, guess: np.ndarray) -> None:
+    """Let what other objects hide count more in the guess (N, K+1) of {empty, object 1..K}."""
+    owner = np.full(observation.depth.size, -1, np.int64)
+    for index, item in enumerate(observation.objects):
+        owner[item.pixels] = index
+    pixel = space.pixel_of(points)
+    hides = np.where(pixel >= 0, owner[pixel], -1)
+    rows = np.flatnonzero(hides >= 0)
+    more = np.full((len(rows), len(observation.objects)), BEHIND_OTHERS, guess.dtype)
+    more[np.arange(len(rows)), hides[rows]] = 1
+    leaning = guess[rows]
+    leaning[:, 1:] *= more
+    guess[rows] = leaning / leaning.sum(1, keepdims=True)
 
 
 def _all_views(
