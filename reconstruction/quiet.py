@@ -22,6 +22,9 @@ def quiet_objects(observation: JointObservation, seen: JointSurface, before: Bef
     """
     latest = {item.label: item.points for item in observation.views[-1].observation.objects}
 
+    def thin(points: np.ndarray) -> np.ndarray:
+        return points[first_in_cells(points, seen.thinnest)]
+
     def quiet(index: int) -> bool:
         item = observation.objects[index]
         surface = before.surfaces.get(item.label)
@@ -29,10 +32,9 @@ def quiet_objects(observation: JointObservation, seen: JointSurface, before: Bef
             return False
         edges = seen.edges(index)
         points = latest.get(item.label, np.empty((0, 3), np.float32))
-        earlier = item.points[: len(item.points) - len(points)]  # the latest view's come last
-        points, earlier = (part[first_in_cells(part, seen.thinnest)] for part in (points, earlier))
         vertices = np.asarray(surface.mesh.vertices, np.float32)
-        return unchanged(vertices, edges.views[-1], edges.spread, points, earlier)
+        earlier = item.points[: len(item.points) - len(points)]  # the latest view's come last
+        return unchanged(vertices, edges.views[-1], edges.spread, thin(points), lambda: thin(earlier))
 
     found = map_in_threads(quiet, range(len(observation.objects)))
     return frozenset(item.label for item, stays in zip(observation.objects, found) if stays)
