@@ -13,7 +13,7 @@ from reconstruction.surface.fusion import PER_METRE, places
 from reconstruction.surface.hull_nodes import in_hull
 from reconstruction.surface.joint_surface import JointEdges
 from reconstruction.surface.neighbours import beside, nodes_off, smoothed
-from reconstruction.surface.reading import FAR, Reading
+from reconstruction.surface.reading import FAR
 from reconstruction.surface.seen_surface import Edges
 from reconstruction.surface.tunnels import membranes
 
@@ -37,7 +37,8 @@ AROUND = 6
 """Nodes around walls that they change: as far as they are smoothed."""
 FEW = 16
 """One node in so many tells whether there are more than that."""
-_GRAZED, _FAR = np.float32(GRAZED), np.float32(FAR)
+_GRAZED, _FAR, _PER_METRE = np.float32(GRAZED), np.float32(FAR), np.float32(PER_METRE)
+_LEAST, _ZERO, _FARTHER = np.float32(LEAST), np.float32(0), np.float32(FARTHER)
 
 
 def with_unseen_walls(
@@ -69,9 +70,7 @@ def with_unseen_walls(
             return None
     reach = np.full(values.shape, np.nan, np.float32)
     reach.reshape(-1)[nodes] = _unpassed(places(nodes, *lattice), edges, seen)
-    likely = np.clip(values, LEAST, 0)
-    likely -= np.float32(FARTHER) * np.clip(nodes_off(solid) - 1, 0, REACH)
-    wall = membranes(solid, ~np.isnan(reach), likely)
+    wall = membranes(solid, ~np.isnan(reach), _likely(values, nodes_off(solid)))
     around = extent(wall)
     if around is None:
         return None
@@ -85,6 +84,18 @@ def with_unseen_walls(
     result = log_odds.copy()
     result[box] = values[1:-1, 1:-1, 1:-1]
     return result
+
+
+@compiled
+def _likely(values: np.ndarray, off: np.ndarray) -> np.ndarray:
+    """How likely a wall is at nodes (nx, ny, nz) with log odds so many nodes off the rest of the object."""
+    likely = np.empty_like(values)
+    for i in range(len(values)):
+        for j in range(values.shape[1]):
+            for k in range(values.shape[2]):
+                farther = min(max(np.int64(off[i, j, k]) - 1, 0), REACH)
+                likely[i, j, k] = min(max(values[i, j, k], _LEAST), _ZERO) - _FARTHER * np.float32(farther)
+    return likely
 
 
 @compiled
@@ -106,8 +117,7 @@ def _unpassed(points: np.ndarray, edges: Edges | JointEdges, seen: np.ndarray) -
     """How far points (N, 3) [m] are behind what was measured (N,), as log odds; NaN where rays passed."""
     if not isinstance(edges, JointEdges):
         reading = edges.read(points)
-        passed = _passed(points, edges, reading, seen)
-        return np.where(passed, np.float32(np.nan), np.float32(PER_METRE) * reading.distance)
+        return _reach(points, reading.distance, reading.others, *_eye_of(edges, seen))
     # Most places are passed by the first view's rays: no other view is asked about those.
     reach = np.full(len(points), np.nan, np.float32)
     left = np.flatnonzero(edges.above_floor(points[:, 2]) >= -GRAZED)
@@ -129,14 +139,29 @@ def _eye_of(edges: Edges, seen: np.ndarray) -> tuple[np.ndarray, np.float32]:
     return eye, np.sqrt(squared_distance(seen, eye).min())
 
 
-def _passed(points: np.ndarray, edges: Edges, reading: Reading, seen: np.ndarray) -> np.ndarray:
-    """Whether rays of one image are known to have passed points (N, 3) [m], or the object on their way."""
-    eye, nearest = _eye_of(edges, seen)
+@compiled
+def _passed(point: np.ndarray, distance: float, others: float, eye: np.ndarray, nearest: float) -> bool:
+    """Whether a ray of one image is known to have passed a point (3,) [m], or the object on its way."""
+    if distance < -_GRAZED:
+        return True
     # What is seen before the object hides it; what is seen behind it ends rays that passed it on their way to
     # a point. Of points before what is seen, how far from the outline they are tells.
-    hidden = (reading.others > 0) & (reading.others < FAR)
-    met = np.sqrt(squared_distance(points, eye)) - reading.others
-    return (reading.distance < -GRAZED) | hidden & (met > nearest)
+    if not 0 < others < _FAR:
+        return False
+    x, y, z = point[0] - eye[0], point[1] - eye[1], point[2] - eye[2]
+    return bool(np.sqrt(x * x + y * y + z * z) - others > nearest)
+
+
+@compiled
+def _reach(
+    points: np.ndarray, distance: np.ndarray, others: np.ndarray, eye: np.ndarray, nearest: float
+) -> np.ndarray:
+    """`_unpassed` of points (N, 3) by a reading of one image (N,)."""
+    reach = np.empty(len(points), np.float32)
+    for n in range(len(points)):
+        passed = _passed(points[n], distance[n], others[n], eye, nearest)
+        reach[n] = np.float32(np.nan) if passed else _PER_METRE * distance[n]
+    return reach
 
 
 @compiled
@@ -147,13 +172,8 @@ def _keep_unpassed(
     has not passed, as `_passed`; these are moved to the front."""
     count, last = 0, len(readings) - 1
     for n in range(len(points)):
-        distance, others = readings[last, 0, n], readings[last, 2, n]
-        if distance < -_GRAZED:
+        if _passed(points[n], readings[last, 0, n], readings[last, 2, n], eye, nearest):
             continue
-        if 0 < others < _FAR:
-            x, y, z = points[n, 0] - eye[0], points[n, 1] - eye[1], points[n, 2] - eye[2]
-            if np.sqrt(x * x + y * y + z * z) - others > nearest:
-                continue
         left[count], points[count] = left[n], points[n]
         for view in range(last + 1):
             for part in range(3):
