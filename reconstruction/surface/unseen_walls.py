@@ -93,7 +93,7 @@ def _likely(values: np.ndarray, off: np.ndarray) -> np.ndarray:
     for i in range(len(values)):
         for j in range(values.shape[1]):
             for k in range(values.shape[2]):
-                farther = min(max(np.int64(off[i, j, k]) - 1, 0), REACH)
+                farther = min(max(int(off[i, j, k]) - 1, 0), REACH)
                 likely[i, j, k] = min(max(values[i, j, k], _LEAST), _ZERO) - _FARTHER * np.float32(farther)
     return likely
 
