@@ -127,6 +127,17 @@ class Observation:
         has not to do it again."""
         return {}
 
+    @cached_property
+    def owner(self) -> np.ndarray:
+        """Index of the object that each pixel shows, measured or guessed (H W,) int16; the number of objects
+        for none, one more for an obstacle without a label."""
+        owner = np.full(self.depth.size, len(self.objects), np.int16)
+        for index, item in enumerate(self.objects):
+            owner[item.pixels] = index
+            owner[item.guessed] = index
+        owner[self.other.pixels] = len(self.objects) + 1
+        return owner
+
     @property
     def first(self) -> Observation:
         """The view that pictures show: itself, or the first of several."""

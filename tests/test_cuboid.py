@@ -131,7 +131,7 @@ def test_bodies_move_guesses_within_and_beyond_them() -> None:
     depth = np.array([0.01, -0.01, np.nan, 0.002])
 
     class Known:
-        filled: ClassVar[bool] = True
+        never_hollow: ClassVar[bool] = True
 
         def depth_known(self, points: np.ndarray) -> np.ndarray:
             return depth

@@ -114,4 +114,5 @@ def test_what_another_object_hides_counts_more_and_what_an_object_hides_itself_d
     np.testing.assert_allclose(guess[of_own, 1] / guess[of_own, 0], 0.3 / 0.5, rtol=1e-5)
     np.testing.assert_allclose(guess[of_own, 2] / guess[of_own, 0], BEHIND_OTHERS * 0.2 / 0.5, rtol=1e-5)
     elsewhere = ~of_own & ~np.isin(behind, other.pixels)
+    assert elsewhere.any()
     np.testing.assert_array_equal(guess[elsewhere], plain[elsewhere])

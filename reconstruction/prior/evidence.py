@@ -30,23 +30,13 @@ class RayLookup:
     def __call__(self, points: np.ndarray, index: int) -> RayEvidence:
         sight, border = self.space.look(points), self._border(index)
         kinds = np.full(len(self.observation.objects) + 2, OTHER, np.int8)
-        kinds[[index, -2]] = OWN, BACKGROUND
+        kinds[[index, -2]] = OWN, BACKGROUND  # to the objects, an obstacle is a thing like another one
         # One pixel is z / f metres wide at depth z.
         focal = np.float32(self.observation.camera.K[0, 0])
-        seen, inside = _seen_and_inside(*sight, self._owner, kinds, self._depths[index], focal, *border)
+        seen, inside = _seen_and_inside(
+            *sight, self.observation.owner, kinds, self._depths[index], focal, *border
+        )
         return RayEvidence(sight.behind, seen, inside)
-
-    @cached_property
-    def _owner(self) -> np.ndarray:
-        """Object index seen at each pixel (H W,) int16, the number of objects for none, one more for an
-        obstacle near objects: to them, it is a thing like another object."""
-        objects = self.observation.objects
-        owner = np.full(self.observation.depth.size, len(objects), np.int16)
-        for index, item in enumerate(objects):
-            owner[item.pixels] = index
-            owner[item.guessed] = index
-        owner[self.observation.other.pixels] = len(objects) + 1
-        return owner
 
     @cached_property
     def _depths(self) -> list[np.float32]:

@@ -20,7 +20,7 @@ NEAR = 0.004
 class Body(Protocol):
     """What is known of one object's shape."""
 
-    filled: ClassVar[bool]
+    never_hollow: ClassVar[bool]
     """Whether things of its kind have no cavity."""
 
     def depth_known(self, points: np.ndarray) -> np.ndarray:
@@ -31,13 +31,13 @@ def with_bodies(
     guess: np.ndarray, points: np.ndarray, bodies: Sequence[Body | None]
 ) -> tuple[np.ndarray, np.ndarray]:
     """The guess (N, K+1) of {empty, object 1..K} at points (N, 3), given the bodies of the K objects; and
-    which of the points (N,) lie in a body that is filled."""
+    which of the points (N,) lie in a body that is never hollow."""
     guess, filled = guess.copy(), np.zeros(len(points), np.bool_)
     for own, body in enumerate(bodies, start=1):
         if body is None:
             continue
         depth = np.nan_to_num(body.depth_known(points))
-        filled |= body.filled & (depth > 0)
+        filled |= body.never_hollow & (depth > 0)
         sure = (SURE * np.clip(np.abs(depth) / NEAR, 0, 1)).astype(guess.dtype)
         within, beyond = np.where(depth > 0, sure, 0), np.where(depth < 0, sure, 0)
         guess *= (1 - within)[:, None]

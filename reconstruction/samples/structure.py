@@ -56,7 +56,8 @@ def structure(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N, K+1) guess of {empty, object 1..K} at points (N, 3) behind what is seen, none of them under a
     support. With obstacles (M, 3), thinned surface points of what has no label, (N, K+2): they are last. And
-    which of the points (N,) lie in a body that is filled. bodies: of the objects whose whole shape is known.
+    which of the points (N,) lie in a body that is never hollow. bodies: of objects whose whole shape is
+    known.
     """
     views = each_view(observation, space)
     guess = (
@@ -80,14 +81,14 @@ def structure(
 
 
 def lean_behind_others(observation: Observation, space: Space, points: np.ndarray, guess: np.ndarray) -> None:
-    """Let what other objects hide count more in the guess (N, K+1) of {empty, object 1..K}."""
-    owner = np.full(observation.depth.size, -1, np.int64)
-    for index, item in enumerate(observation.objects):
-        owner[item.pixels] = index
-    pixel = space.pixel_of(points)
-    hides = np.where(pixel >= 0, owner[pixel], -1)
-    rows = np.flatnonzero(hides >= 0)
-    more = np.full((len(rows), len(observation.objects)), BEHIND_OTHERS, guess.dtype)
+    """Let what other objects hide from the only view count more in the guess (N, K+1) of {empty, object
+    1..K}."""
+    pixel, count = space.pixel_of(points), len(observation.objects)
+    # A surface that was guessed is no proof that it hides anything.
+    measured = (pixel >= 0) & np.isfinite(observation.depth.reshape(-1)[pixel])
+    hides = np.where(measured, observation.owner[pixel], count)
+    rows = np.flatnonzero(hides < count)
+    more = np.full((len(rows), count), BEHIND_OTHERS, guess.dtype)
     more[np.arange(len(rows)), hides[rows]] = 1
     leaning = guess[rows]
     leaning[:, 1:] *= more

@@ -38,7 +38,7 @@ class BoxedEdges:
     not on its faces [m]; wall: what is measured is at least so thick [m].
     """
 
-    filled: ClassVar[bool] = True
+    never_hollow: ClassVar[bool] = True
     """Cartons have no cavity."""
     edges: Edges | JointEdges
     cuboid: Cuboid

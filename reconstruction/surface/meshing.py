@@ -1,4 +1,7 @@
-"""From log odds on a lattice to one closed surface with uncertainty. Knows lattices and meshes only."""
+"""From log odds on lattices to closed surfaces with uncertainty, no two of which share a place.
+
+Knows lattices and meshes only.
+"""
 
 from __future__ import annotations
 

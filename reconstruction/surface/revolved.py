@@ -57,10 +57,10 @@ class RevolvedEdges:
     where it then stands [m]; height: of the table's first row [m];
     depth: (R, Z) float32, how far places at each radius and height lie behind the surface [m], negative where
     it is empty, UNKNOWN or so where nothing is known; circles: (M, 3) points of the surface all round; wall:
-    what is measured is at least so thick [m]; full: it is no vessel.
+    what is measured is at least so thick [m]; full: its unknown inside is taken for more of it.
     """
 
-    filled: ClassVar[bool] = False
+    never_hollow: ClassVar[bool] = False
     """Many round things are hollow."""
     edges: Edges | JointEdges
     turn: np.ndarray

@@ -78,17 +78,9 @@ def cavity(profile: np.ndarray, inwards: np.ndarray, low: float, empty: np.ndarr
     return Cavity(upper, float(bottom if upper else top) if ended(narrow, not upper) else None)
 
 
-@compiled
 def fill(depth: np.ndarray) -> None:
     """Take what a table (R, Z) does not know nearer to the axis than the body's surface for its inside."""
-    rows, columns = depth.shape
-    for c in range(columns):
-        within = False
-        for r in range(rows - 1, -1, -1):
-            if depth[r, c] < UNKNOWN:
-                within = depth[r, c] >= 0
-            elif within:
-                depth[r, c] = DEEP
+    _put_inside(depth, 0, depth.shape[1])
 
 
 def hollow_out(depth: np.ndarray, low: float, cavity: Cavity) -> None:
@@ -97,19 +89,19 @@ def hollow_out(depth: np.ndarray, low: float, cavity: Cavity) -> None:
     if cavity.bottom is not None:
         inner = cavity.bottom + (THINNEST if cavity.upper else -THINNEST)
         first, last = sorted(round((height - low) / CELL) for height in (cavity.bottom, inner))
-    _hollow_out(depth, first, last)
+    _put_inside(depth, first, last)
 
 
 @compiled
-def _hollow_out(depth: np.ndarray, first: int, last: int) -> None:
-    """The same; the columns of the bottom are those from `first` to before `last`."""
+def _put_inside(depth: np.ndarray, first: int, last: int) -> None:
+    """Fill the columns of a table from `first` to before `last`, and hollow out the others."""
     rows, columns = depth.shape
     for c in range(columns):
-        within = False
+        within, full = False, first <= c < last
         for r in range(rows - 1, -1, -1):
             if depth[r, c] < UNKNOWN:
                 within = depth[r, c] >= 0
-                if not first <= c < last:
+                if not full:
                     depth[r, c] = min(depth[r, c], max(_WALL - depth[r, c], -DEEP))
             elif within:
-                depth[r, c] = DEEP if first <= c < last else -DEEP
+                depth[r, c] = DEEP if full else -DEEP
