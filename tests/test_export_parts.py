@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from reconstruction.export.apart import GAP, below, kept_apart, overlap
+from reconstruction.export import mjcf, urdf
+from reconstruction.export.apart import below, kept_apart, overlap
 from reconstruction.export.balance import ENOUGH, balanced
-from reconstruction.export.collision import ConvexParts
+from reconstruction.export.collision import ConvexParts, convex_parts
 from reconstruction.export.contacts import Contacts, contacts_of
 from reconstruction.export.cutting import Cutter, solid_of
 from reconstruction.export.footing import PATCH, with_footing
@@ -16,6 +17,9 @@ from reconstruction.export.refine import refined
 from reconstruction.export.tips import tips
 from reconstruction.solid import Solid
 
+GAP = 0.002
+"""Between parts of two objects [m]."""
+
 
 def box(size, middle) -> trimesh.Trimesh:
     found = trimesh.creation.box(size)
@@ -23,27 +27,60 @@ def box(size, middle) -> trimesh.Trimesh:
     return found
 
 
+def prism(corners) -> trimesh.Trimesh:
+    """6 cm along y; corners (N, 2): its x and z [m]."""
+    ends = [[[x, y, z] for x, z in corners] for y in (-0.03, 0.03)]
+    return convex_hull(np.concatenate(ends))
+
+
 def test_two_boxes_that_overlap_are_cut_at_a_plane_between_them():
     one, two = box((0.1, 0.1, 0.1), (0, 0, 0)), box((0.1, 0.08, 0.08), (0.095, 0, 0))
-    normal, low, high = overlap(one, two)
+    normal, low, high = overlap(one, two, GAP)
     assert np.allclose(normal, [1, 0, 0])
     assert high - low == pytest.approx(0.005)
-    apart = kept_apart({1: (one,), 2: (two,)})
+    apart = kept_apart({1: (one,), 2: (two,)}, GAP)
     (first,), (second,) = apart[1], apart[2]
     assert first.bounds[1, 0] == pytest.approx(0.0475 - GAP / 2)
     assert second.bounds[0, 0] == pytest.approx(0.0475 + GAP / 2)
-    assert overlap(first, second) is None
+    assert overlap(first, second, GAP) is None
     assert first.is_watertight
     assert second.volume == pytest.approx(0.08 * 0.08 * (0.145 - 0.0475 - GAP / 2))
 
 
 def test_parts_that_do_not_overlap_stay_as_they_are_and_an_object_never_loses_all():
     one, two, far = box((0.1,) * 3, (0, 0, 0)), box((0.1,) * 3, (0.11, 0, 0)), box((0.1,) * 3, (1, 0, 0))
-    apart = kept_apart({1: (one,), 2: (two, far)})
+    apart = kept_apart({1: (one,), 2: (two, far)}, GAP)
     assert apart[1][0] is one
     assert apart[2] == (two, far)
     tiny = box((1e-3,) * 3, (0, 0, 0))
-    assert kept_apart({1: (box((0.1,) * 3, (0, 0, 0)),), 2: (tiny,)})[2]
+    assert kept_apart({1: (box((0.1,) * 3, (0, 0, 0)),), 2: (tiny,)}, GAP)[2]
+
+
+@pytest.mark.parametrize("gap", [mjcf.GAP, urdf.GAP])
+def test_thin_plates_and_a_wedge_that_touch_others_keep_their_shape(gap):
+    """As reconstructions touch: parts that bulge into a neighbour are cut, little of a mesh is lost."""
+    plates = box((0.1, 0.08, 0.0025), (0, 0, 0.00125)), box((0.1, 0.08, 0.0025), (0, 0, 0.00375))
+    wedge = prism([[-0.03, 0], [0.03, 0], [0, -0.05]])  # 62 degrees, tip down
+    left, right = (prism([[0, -0.05], [x, 0], [x, -0.05]]) for x in (-0.03, 0.03))
+    for meshes in (plates, (wedge, left, right)):
+        cut = convex_parts(meshes, workers=1)
+        bulging = {
+            label: tuple(convex_hull(part.vertices * 1.02) for part in of_one.parts)
+            for label, of_one in enumerate(cut)
+        }
+        apart = kept_apart(bulging, gap)
+        for label, mesh in enumerate(meshes):
+            missing, excess = parts_error(mesh, apart[label])
+            assert missing < 0.003
+            assert excess < 0.003
+            others = [part for other, parts in apart.items() if other != label for part in parts]
+            assert all(overlap(own, part, gap) is None for own in apart[label] for part in others)
+
+
+@pytest.mark.parametrize(("gap", "distance"), [(mjcf.GAP, 0.0), (urdf.GAP, 0.0014)])
+def test_boxes_that_touch_are_as_far_apart_as_the_format_needs(gap, distance):
+    apart = kept_apart({1: (box((0.1,) * 3, (0, 0, 0)),), 2: (box((0.1,) * 3, (0.1, 0, 0)),)}, gap)
+    assert apart[2][0].bounds[0, 0] - apart[1][0].bounds[1, 0] == pytest.approx(distance, abs=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -51,8 +88,8 @@ def test_hulls_in_any_attitude_do_not_overlap_when_cut(seed):
     rng = np.random.default_rng(seed)
     clouds = [rng.normal(size=(30, 3)) * 0.03, rng.normal(size=(30, 3)) * 0.03 + [0.07, 0, 0]]
     one, two = (convex_hull(cloud) for cloud in clouds)
-    apart = kept_apart({1: (one,), 2: (two,)})
-    assert overlap(apart[1][0], apart[2][0]) is None
+    apart = kept_apart({1: (one,), 2: (two,)}, GAP)
+    assert overlap(apart[1][0], apart[2][0], GAP) is None
     for before, after in ((one, apart[1][0]), (two, apart[2][0])):
         corners = after.vertices.astype(np.float32)
         solid = Solid(before)
@@ -66,7 +103,7 @@ def test_a_face_without_area_parts_nothing():
     a, b, _ = sliver.faces[0]
     flat = trimesh.Trimesh(vertices, np.vstack([sliver.faces, [a, corner, b]]), process=False)
     assert not flat.face_normals[-1].any()
-    _, low, high = overlap(flat, box((0.1,) * 3, (0.09, 0, 0)))
+    _, low, high = overlap(flat, box((0.1,) * 3, (0.09, 0, 0)), GAP)
     assert high - low == pytest.approx(0.01)
 
 

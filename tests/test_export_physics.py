@@ -10,6 +10,7 @@ import pytest
 import trimesh
 from planner_scene import MUG_HEIGHT, PlannerScene, planner_scene
 
+from reconstruction.export import mjcf, urdf, usd
 from reconstruction.export.collision import ConvexParts
 from reconstruction.export.export_scene import ExportScene
 from reconstruction.export.footing import with_footing
@@ -66,12 +67,12 @@ def test_a_container_with_something_in_or_above_it_is_left_out():
 
 
 def test_nothing_reaches_into_the_support_and_the_foot_is_flat(planned):
-    scene = planned.scene()
+    bodies = (scene := planned.scene()).bodies(urdf.GAP)
     for item in scene.objects:
         low = item.solid.bounds[0, 2]
-        corners = np.concatenate([part.vertices for part in scene.parts[item.label].parts])
+        corners = np.concatenate([part.vertices for part in bodies.parts[item.label].parts])
         assert corners[:, 2].min() == pytest.approx(low, abs=1e-6)
-        assert scene.parts[item.label].error_m < 3e-3
+        assert bodies.parts[item.label].error_m < 3e-3
     ball = trimesh.creation.icosphere(3, 0.04)
     whole = ConvexParts((ball,), ball)
     cut = with_footing(whole, ball, -0.039)
@@ -88,11 +89,16 @@ def test_what_stood_stays_standing(planned, out):
     motions = list(stand(planned.result.folder, out))
     assert len(motions) == 4
     assert all(motion.rested for motion in motions), motions
-    said = planned.scene().collision_statement()
-    figures = [{"seconds": 1.0, "overlap_mm": 1e3 * overlap(out), "collision": said, "unseen_supports": []}]
+    said = {name: json.loads((out / name / "export.json").read_text()) for name in ("urdf", "mjcf")}
+    collision = {name: of_one["collision"] for name, of_one in said.items()}
+    none = {name: [] for name in said}
+    figures = [
+        {"seconds": 1.0, "overlap_mm": 1e3 * overlap(out), "collision": collision, "unseen_supports": none}
+    ]
     summary = summarise(figures, motions)
     assert summary["mujoco_at_rest"] == summary["pybullet_at_rest"] == 1.0
-    assert summary["error_mm_max"] < 3
+    assert summary["urdf_error_mm_max"] < 3
+    assert summary["mjcf_error_mm_max"] < 3
     assert 0 <= summary["overlap_mm_max"] < 2
 
 
@@ -107,17 +113,18 @@ def test_what_hovers_over_hidden_space_rests_on_unseen_supports(planned, tmp_pat
     lifted = dataclasses.replace(mug, mesh=mug.mesh.copy().apply_translation(lift), T_world_object=T)
     scene = ExportScene(dataclasses.replace(planned.result, objects=(lifted, bracket)))
     export(scene, ["urdf", "mjcf", "usd"], tmp_path)
-    assert list(scene.unseen_supports) == [1]
-    for name in ("urdf", "mjcf", "usd"):
+    for name, gap in (("urdf", urdf.GAP), ("mjcf", mjcf.GAP), ("usd", usd.GAP)):
+        supports = scene.bodies(gap).unseen_supports
+        assert list(supports) == [1]
         said = json.loads((tmp_path / name / "export.json").read_text())["unseen_supports"]
         assert list(said) == ["1_mug"]
-        assert said["1_mug"]["blocks"] == len(scene.unseen_supports[1]) >= 3
+        assert said["1_mug"]["blocks"] == len(supports[1]) >= 3
     motions = list(stand(planned.result.folder, tmp_path))
     assert {motion.key for motion in motions} == {"1_mug", "2_bracket"}
     assert all(motion.rested for motion in motions), motions
     assert overlap(tmp_path) < 0.002
     text = (tmp_path / "usd" / "scene.usda").read_text()
-    assert text.count("def Cube") == len(scene.unseen_supports[1])
+    assert text.count("def Cube") == len(supports[1])
     (tmp_path / "urdf" / "unseen_supports.urdf").unlink()
     before, after = export_checks._pybullet(tmp_path)["1_mug"]
     assert np.linalg.norm(after[:3, 3] - before[:3, 3]) > 0.02  # without them it falls

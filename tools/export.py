@@ -43,8 +43,9 @@ def export(
 
     from tqdm import tqdm
 
+    from mapping.guarded_files import read_json
     from reconstruction.export.export_scene import ExportConfig, ExportScene
-    from reconstruction.export.formats import check_formats
+    from reconstruction.export.formats import STATEMENT, check_formats
     from reconstruction.export.formats import export as write_formats
     from reconstruction.files.result_folder import load_result
 
@@ -58,12 +59,14 @@ def export(
     seconds = perf_counter() - start
     for folder in folders:
         print(folder)
-    parts = scene.collision_statement() if scene.has_parts else {}
-    for key, of_one in parts.items():
-        note = f"; {of_one['note']}" if "note" in of_one else ""
-        print(
-            f"{key}: {of_one['parts']} convex parts, at most {of_one['missing_mm']} mm missing and "
-            f"{of_one['excess_mm']} mm in excess{note}"
-        )
+    said = {folder.name: read_json(folder / STATEMENT) for folder in folders}
+    parts = {name: statement["collision"] for name, statement in said.items() if "collision" in statement}
+    for name, objects in parts.items():
+        for key, of_one in objects.items():
+            note = f"; {of_one['note']}" if "note" in of_one else ""
+            print(
+                f"{name} {key}: {of_one['parts']} convex parts, at most {of_one['missing_mm']} mm missing "
+                f"and {of_one['excess_mm']} mm in excess{note}"
+            )
     print(f"{len(folders)} formats of {len(stored.objects)} objects in {seconds:.1f} s")
     write_json({"objects": len(stored.objects), "seconds": round(seconds, 3), "collision": parts}, json)

@@ -72,7 +72,8 @@ def check(
 
 
 def export_one(result: Path, out: Path) -> dict[str, Any]:
-    """Export to urdf and mjcf; seconds, and parts and their error by object."""
+    """Export to urdf and mjcf; seconds, and for either parts and their error by object."""
+    from reconstruction.export import mjcf, urdf
     from reconstruction.export.export_scene import ExportScene
     from reconstruction.export.formats import export
     from reconstruction.files.result_folder import load_result
@@ -80,12 +81,13 @@ def export_one(result: Path, out: Path) -> dict[str, Any]:
     start = perf_counter()
     scene = ExportScene(load_result(result))
     export(scene, ["urdf", "mjcf"], out)
+    bodies = {"urdf": scene.bodies(urdf.GAP), "mjcf": scene.bodies(mjcf.GAP)}
     return {
         "result": result.name,
         "seconds": round(perf_counter() - start, 3),
         "overlap_mm": round(1e3 * overlap(out), 3),
-        "collision": scene.collision_statement(),
-        "unseen_supports": sorted(scene.unseen_statement()),
+        "collision": {name: of_one.collision_statement() for name, of_one in bodies.items()},
+        "unseen_supports": {name: sorted(of_one.unseen_supports) for name, of_one in bodies.items()},
     }
 
 
@@ -113,19 +115,24 @@ def stand(result: Path, out: Path) -> Iterator[Motion]:
 
 def summarise(figures: list[dict[str, Any]], motions: list[Motion]) -> dict[str, Any]:
     """The figures in one flat dict."""
-    parts = [entry for figure in figures for entry in figure["collision"].values()]
-    errors = [max(entry["missing_mm"], entry["excess_mm"]) for entry in parts]
     summary: dict[str, Any] = {
         "results": len(figures),
-        "objects": len(parts),
-        "convex_parts_median": float(np.median([entry["parts"] for entry in parts])),
-        "error_mm_median": float(np.median(errors)),
-        "error_mm_max": float(np.max(errors)),
-        "error_3mm": round(float(np.mean(np.array(errors) <= 3.0)), 4),
-        "on_unseen_supports": sum(len(figure["unseen_supports"]) for figure in figures),
         "overlap_mm_max": float(np.max([figure["overlap_mm"] for figure in figures])),
-        "export_s_per_object": sum(figure["seconds"] for figure in figures) / max(len(parts), 1),
     }
+    for name in figures[0]["collision"]:
+        parts = [entry for figure in figures for entry in figure["collision"][name].values()]
+        errors = np.array([max(entry["missing_mm"], entry["excess_mm"]) for entry in parts])
+        summary |= {
+            "objects": len(parts),
+            "export_s_per_object": sum(figure["seconds"] for figure in figures) / max(len(parts), 1),
+            f"{name}_convex_parts_median": float(np.median([entry["parts"] for entry in parts])),
+            f"{name}_error_mm_median": float(np.median(errors)),
+            f"{name}_error_mm_90": float(np.quantile(errors, 0.9)),
+            f"{name}_error_mm_max": float(errors.max()),
+            f"{name}_error_3mm": round(float((errors <= 3.0).mean()), 4),
+            f"{name}_error_4mm": round(float((errors <= 4.0).mean()), 4),
+            f"{name}_on_unseen_supports": sum(len(figure["unseen_supports"][name]) for figure in figures),
+        }
     for engine in ("mujoco", "pybullet"):
         mine = [motion for motion in motions if motion.engine == engine]
         summary[f"{engine}_loaded"] = len(mine)

@@ -15,13 +15,11 @@ from perception.camera import invert_rigid
 from reconstruction.export.export_object import moved
 from reconstruction.export.hulls import convex_hull
 
-GAP = 0.002
-"""Between parts of two objects [m]: pybullet keeps 1 mm around either, and throws apart what is nearer."""
 Parts = tuple[trimesh.Trimesh, ...]
 
 
-def kept_apart(objects: Mapping[int, Parts]) -> dict[int, Parts]:
-    """Label -> convex parts [m] of objects in one frame, none nearer than GAP to one of another object.
+def kept_apart(objects: Mapping[int, Parts], gap: float) -> dict[int, Parts]:
+    """Label -> convex parts [m] of objects in one frame, none nearer than `gap` [m] to one of another.
 
     An object always keeps at least one part: one that would lose all stays as it was.
     """
@@ -30,7 +28,7 @@ def kept_apart(objects: Mapping[int, Parts]) -> dict[int, Parts]:
     limits = {label: boxes(parts) for label, parts in objects.items()}
     for number, first in enumerate(labels):
         for second in labels[number + 1 :]:
-            _separate(found[first], found[second], limits[first], limits[second])
+            _separate(found[first], found[second], limits[first], limits[second], gap)
     return {
         label: tuple(part for part in found[label] if part is not None) or objects[label] for label in found
     }
@@ -48,23 +46,24 @@ def meshes_beside(
     ]
 
 
-def _separate(first: list, second: list, one: np.ndarray, two: np.ndarray) -> None:
-    """Cut the parts of two objects where they overlap, in place; what is lost whole becomes None.
+def _separate(first: list, second: list, one: np.ndarray, two: np.ndarray, gap: float) -> None:
+    """Cut the parts of two objects where they are nearer than `gap` [m], in place; what is lost whole becomes
+    None.
 
     one, two: the parts' boxes (N, 2, 3) before any was cut.
     """
     # Hundreds of parts each: only pairs whose boxes meet are looked at, and cutting makes boxes no larger.
-    meet = ((one[:, None, 0] < two[:, 1] + GAP) & (two[:, 0] < one[:, None, 1] + GAP)).all(-1)
+    meet = ((one[:, None, 0] < two[:, 1] + gap) & (two[:, 0] < one[:, None, 1] + gap)).all(-1)
     for i, j in np.argwhere(meet):
         if first[i] is None or second[j] is None:
             continue
-        plane = overlap(first[i], second[j])
+        plane = overlap(first[i], second[j], gap)
         if plane is None:
             continue
         normal, low, high = plane
         middle = (low + high) / 2
-        first[i] = below(first[i], normal, middle - GAP / 2)
-        second[j] = below(second[j], -normal, -middle - GAP / 2)
+        first[i] = below(first[i], normal, middle - gap / 2)
+        second[j] = below(second[j], -normal, -middle - gap / 2)
 
 
 def boxes(parts: Sequence[trimesh.Trimesh]) -> np.ndarray:
@@ -74,7 +73,7 @@ def boxes(parts: Sequence[trimesh.Trimesh]) -> np.ndarray:
 
 
 def overlap(
-    first: trimesh.Trimesh, second: trimesh.Trimesh, gap: float = GAP
+    first: trimesh.Trimesh, second: trimesh.Trimesh, gap: float
 ) -> tuple[np.ndarray, float, float] | None:
     """A direction n (3,) along which two convex meshes overlap least, of their faces' normals: the second
     begins at n x = low and the first ends at n x = high > low - gap [m]. None when one of them parts the two

@@ -6,10 +6,10 @@ Knows a stored result; knows no format. What is costly is worked out when first 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 import trimesh
@@ -18,17 +18,13 @@ from mapping.errors import ConfigError
 from perception.camera import invert_rigid, transform
 from perception.frame import Frame
 from reconstruction.export.apart import kept_apart, meshes_beside
-from reconstruction.export.at_rest import AtRest, at_rest
+from reconstruction.export.bodies import Bodies
 from reconstruction.export.collision import CollisionConfig, ConvexParts, Cutter, convex_parts
 from reconstruction.export.export_object import ExportObject, moved
 from reconstruction.export.footing import with_footing
 from reconstruction.export.seen_free import seen_free
-from reconstruction.export.unseen_support import WHY, Block
 from reconstruction.files.result_folder import StoredResult
 from reconstruction.files.scene_json import OTHER_FOLDER, object_folder
-
-ALIKE = 0.003
-"""Parts no further from a mesh than this stand for it [m]."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +66,7 @@ class ExportScene:
         if self.config.workers is not None and self.config.workers < 1:
             raise ConfigError(f"workers must be at least 1, got {self.config.workers}")
         self._progress = progress
+        self._bodies: dict[float, Bodies] = {}
 
     @cached_property
     def objects(self) -> tuple[ExportObject, ...]:
@@ -99,71 +96,36 @@ class ExportScene:
         local = moved(mesh, invert_rigid(T))
         return (*self.objects, ExportObject("other", 0, "other", local, local, T, local.extents))
 
+    def bodies(self, gap: float) -> Bodies:
+        """What physics formats write, parts of different objects no nearer than `gap` [m]."""
+        if gap not in self._bodies:
+            seen_free = self._seen_free if self.support_found else None
+            self._bodies[gap] = Bodies(
+                self.objects,
+                self._apart(gap),
+                self._poses,
+                self.config.density,
+                seen_free,
+                self.T_world_table,
+            )
+        return self._bodies[gap]
+
     @cached_property
-    def parts(self) -> dict[int, ConvexParts]:
-        """Label -> convex parts [m] of the object's solid, in the object's frame."""
+    def _footed(self) -> dict[int, ConvexParts]:
+        """Label -> convex parts [m] of the object's solid with feet on the support, in the object's frame."""
         solids, config = [item.solid for item in self.objects], CollisionConfig(self.config.cutter)
         beside = meshes_beside(solids, [self._poses[item.label] for item in self.objects])
         cut = first = convex_parts(solids, config, self._progress, self.config.workers, beside)
         if self.support_found:
             heights = [self._support_height(item) for item in self.objects]
             cut = [with_footing(*of_one) for of_one in zip(cut, solids, heights)]
-        apart = self._apart({item.label: parts for item, parts in zip(self.objects, cut)})
         return {
-            item.label: replace(apart[item.label], cut=of_one) for item, of_one in zip(self.objects, first)
+            item.label: replace(footed, cut=of_one) for item, footed, of_one in zip(self.objects, cut, first)
         }
-
-    @cached_property
-    def unseen_supports(self) -> Mapping[int, tuple[Block, ...]]:
-        """Label -> blocks in the table frame that hold up an object which stands on nothing known."""
-        return self._at_rest.supports if self.support_found else {}
-
-    @cached_property
-    def _at_rest(self) -> AtRest:
-        """Of all objects, in the table frame."""
-        centres = {
-            item.label: transform(self._poses[item.label], item.inertia(1.0)[1][None])[0]
-            for item in self.objects
-        }
-        return at_rest(self._placed(self.parts), centres, self._seen_free)
-
-    @cached_property
-    def centres(self) -> dict[int, np.ndarray]:
-        """Label -> centre of mass (3,) [m] in the object's frame.
-
-        That of an even density, or where the object does not fall from where it was seen at rest.
-        """
-        if not self.support_found:
-            return {item.label: item.inertia(self.config.density)[1] for item in self.objects}
-        poses = self._poses
-        return {
-            label: transform(invert_rigid(poses[label]), centre[None])[0]
-            for label, centre in self._at_rest.centres.items()
-        }
-
-    def unseen_blocks(self, label: int) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Centre (3,) [m], quaternion w x y z and size (3,) [m], in the world frame, of unseen supports."""
-        return [
-            (transform(self.T_world_table, block.centre[None])[0], self.table_wxyz, block.size)
-            for block in self.unseen_supports.get(label, ())
-        ]
-
-    @cached_property
-    def table_wxyz(self) -> np.ndarray:
-        """Unit quaternion w x y z of T_world_table, w >= 0."""
-        from scipy.spatial.transform import Rotation
-
-        x, y, z, w = Rotation.from_matrix(self.T_world_table[:3, :3]).as_quat(canonical=True)
-        return np.array([w, x, y, z])
 
     def _seen_free(self, points: np.ndarray) -> np.ndarray:
         """Which points (N, 3) [m, table frame] were seen to be empty: (N,) bool."""
         return seen_free(transform(self.T_world_table, points), self.result.frames())
-
-    @property
-    def has_parts(self) -> bool:
-        """Whether convex parts have been asked for by now."""
-        return "parts" in self.__dict__
 
     @cached_property
     def frame(self) -> Frame:
@@ -189,15 +151,15 @@ class ExportScene:
         """z of the support plane in an object's frame [m]: the z axes are parallel."""
         return float((invert_rigid(item.T_world_object) @ self.T_world_table)[2, 3])
 
-    def _apart(self, parts: dict[int, ConvexParts]) -> dict[int, ConvexParts]:
-        """The parts, cut where those of two objects overlap. All z axes are parallel: one frame for all."""
-        poses, placed = self._poses, self._placed(parts)
-        apart, found = kept_apart(placed), dict(parts)
-        for item in self.objects:
-            kept = apart[item.label]
-            if kept != placed[item.label]:
-                own = tuple(moved(part, invert_rigid(poses[item.label])) for part in kept)
-                found[item.label] = ConvexParts(own, item.solid, parts[item.label].note)
+    def _apart(self, gap: float) -> dict[int, ConvexParts]:
+        """The parts, cut where those of two objects are nearer than `gap` [m]. All z axes are parallel: one
+        frame for all."""
+        poses, placed = self._poses, self._placed
+        apart, found = kept_apart(placed, gap), dict(self._footed)
+        for label, kept in apart.items():
+            if kept != placed[label]:
+                own = tuple(moved(part, invert_rigid(poses[label])) for part in kept)
+                found[label] = ConvexParts(own, found[label].mesh, found[label].note, found[label].cut)
         return found
 
     @cached_property
@@ -206,43 +168,12 @@ class ExportScene:
         T_table_world = invert_rigid(self.T_world_table)
         return {item.label: T_table_world @ item.T_world_object for item in self.objects}
 
-    def _placed(self, parts: dict[int, ConvexParts]) -> dict[int, tuple[trimesh.Trimesh, ...]]:
+    @cached_property
+    def _placed(self) -> dict[int, tuple[trimesh.Trimesh, ...]]:
         """Label -> convex parts [m] in the table frame."""
         return {
             label: tuple(moved(part, self._poses[label]) for part in of_one.parts)
-            for label, of_one in parts.items()
-        }
-
-    def collision_statement(self) -> dict[str, Any]:
-        """Number of convex parts of each object and how far they are from its surface [mm].
-
-        decomposition_mm: the larger of both before parts got feet and those of neighbours were kept apart,
-        where it is more than ALIKE. centre_moved_mm: how far its centre of mass is from that of an even
-        density, to keep it at rest. note: why its parts are coarser than asked for, where they are.
-        """
-        found: dict[str, Any] = {}
-        for item in self.objects:
-            parts, even = self.parts[item.label], item.inertia(self.config.density)[1]
-            shift = float(np.linalg.norm(self.centres[item.label] - even))
-            found[item.key] = {
-                "parts": len(parts.parts),
-                "missing_mm": round(1e3 * parts.missing_m, 2),
-                "excess_mm": round(1e3 * parts.excess_m, 2),
-                "centre_moved_mm": round(1e3 * shift, 2),
-            }
-            if parts.error_m > ALIKE and parts.cut is not None:
-                found[item.key]["decomposition_mm"] = round(1e3 * parts.cut.error_m, 2)
-            if parts.note:
-                found[item.key]["note"] = parts.note
-        return found
-
-    def unseen_statement(self) -> dict[str, Any]:
-        """Which objects stand on fixed blocks, how many, and why; {} before a format has asked for them."""
-        found = self.__dict__.get("unseen_supports", {})
-        return {
-            item.key: {"blocks": len(found[item.label]), "why": WHY}
-            for item in self.objects
-            if item.label in found
+            for label, of_one in self._footed.items()
         }
 
     def _inflated(self) -> dict[int, trimesh.Trimesh]:

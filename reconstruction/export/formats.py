@@ -44,7 +44,8 @@ FORMATS: dict[str, str] = {
     "gpd": "gpd",
     "vgn": "vgn",
 }
-"""Name -> module of this package. A new format is a module with STATEMENT and write(), and a line here."""
+"""Name -> module of this package. A new format is a module with STATEMENT and write(), and a line here. One
+that writes bodies for physics has GAP, too: what it needs between parts of different objects [m]."""
 
 
 def check_formats(names: Sequence[str]) -> None:
@@ -117,8 +118,21 @@ def _state(module: Format, name: str, scene: ExportScene, folder: Path) -> None:
         **module.STATEMENT,
         "up": scene.up.round(9).tolist(),
         "objects": {item.key: {"label": item.label, "name": item.name} for item in scene.objects},
-        **({"collision": scene.collision_statement()} if scene.has_parts else {}),
-        **({"unseen_supports": unseen} if (unseen := scene.unseen_statement()) else {}),
+        **_bodies(module, scene),
         "files": sorted(path.name + "/" * path.is_dir() for path in folder.iterdir()),
     }
     (folder / STATEMENT).write_text(json.dumps(statement, indent=1) + "\n", encoding="utf-8")
+
+
+def _bodies(module: Format, scene: ExportScene) -> dict[str, Any]:
+    """What a format for physics says of its convex parts, and of unseen supports where there are any."""
+    gap: float | None = getattr(module, "GAP", None)
+    if gap is None:
+        return {}
+    bodies = scene.bodies(gap)
+    unseen = bodies.unseen_statement()
+    return {
+        "gap_mm": round(1e3 * gap, 3),
+        "collision": bodies.collision_statement(),
+        **({"unseen_supports": unseen} if unseen else {}),
+    }

@@ -20,6 +20,8 @@ CONTACT = "6"
 STIFF = "0.005 1"
 """Time constant [s] and damping of MuJoCo's contacts. With its default of 0.02 s a body sinks in by half a
 millimetre, and what stands on less than a centimetre leans until it falls."""
+GAP = 0.0
+"""Between parts of two objects [m]: MuJoCo keeps nothing around them."""
 SEEN_GROUP, CONVEX_GROUP = "2", "3"
 """MuJoCo's viewer shows group 2 and hides group 3."""
 STATEMENT = {
@@ -57,7 +59,7 @@ def _support(world: xml.Element, scene: ExportScene) -> None:
         type="plane",
         size="1 1 0.05",
         pos=_numbers(scene.T_world_table[:3, 3]),
-        quat=_numbers(scene.table_wxyz),
+        quat=_numbers(scene.bodies(GAP).table_wxyz),
         friction=_friction(scene),
         condim=CONTACT,
         solref=STIFF,
@@ -66,7 +68,7 @@ def _support(world: xml.Element, scene: ExportScene) -> None:
 
 def _unseen_support(item: ExportObject, scene: ExportScene, world: xml.Element) -> None:
     """Fixed boxes: what holds an object up is not known to move."""
-    for index, (position, wxyz, size) in enumerate(scene.unseen_blocks(item.label)):
+    for index, (position, wxyz, size) in enumerate(scene.bodies(GAP).unseen_blocks(item.label)):
         xml.SubElement(
             world,
             "geom",
@@ -94,7 +96,7 @@ def _body(
     )
     xml.SubElement(body, "freejoint", name=item.key)
     mass, even, tensor = item.inertia(scene.config.density)
-    centre = scene.centres[item.label]
+    centre = scene.bodies(GAP).centres[item.label]
     if not np.allclose(centre, even, rtol=0, atol=1e-6):
         # Where the mesh's own centre of mass would let it fall.
         turning = [tensor[a, b] for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
@@ -113,7 +115,7 @@ def _body(
         conaffinity="0",
         group=SEEN_GROUP,
     )
-    for index, part in enumerate(scene.parts[item.label].parts):
+    for index, part in enumerate(scene.bodies(GAP).parts[item.label].parts):
         name = f"{item.key}_{index:03d}"
         (folder / f"{name}.obj").write_bytes(encode_obj(part))
         # Parts have no mass of their own, and thin ones hardly a volume.

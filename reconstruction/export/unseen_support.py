@@ -31,7 +31,7 @@ CLEAR = 0.0012
 """From other objects' parts [m]: pybullet lifts these by up to a millimetre, and nothing must press on them
 then."""
 LEAST_THICKNESS = 0.0005
-"""Of a block [m]: between parts of two objects, which are GAP from each other, there is room for it."""
+"""Of a block [m]."""
 MOST = 12
 """Blocks below an object at most."""
 ACROSS = 5

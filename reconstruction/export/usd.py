@@ -12,6 +12,8 @@ import trimesh
 from reconstruction.export.export_object import ExportObject
 from reconstruction.export.export_scene import ExportScene
 
+GAP = 0.0
+"""Between parts of two objects [m]: colliders rest on each other without any."""
 STATEMENT = {
     "frame": "prims' transforms lead from each object's own frame to the world frame of the result",
     "unit": "m (metersPerUnit 1), kg; upAxis Z",
@@ -50,9 +52,9 @@ def _body(stage: Any, item: ExportObject, scene: ExportScene) -> None:
     prim.SetCustomDataByKey("label", item.label)
     prim.SetCustomDataByKey("name", item.name)
     UsdPhysics.RigidBodyAPI.Apply(prim)
-    _mass(prim, item, scene.centres[item.label], scene.config.density)
+    _mass(prim, item, scene.bodies(GAP).centres[item.label], scene.config.density)
     _mesh(stage, f"{path}/visual", item.mesh)
-    for index, part in enumerate(scene.parts[item.label].parts):
+    for index, part in enumerate(scene.bodies(GAP).parts[item.label].parts):
         collider = _mesh(stage, f"{path}/collision/part_{index:03d}", part)
         UsdPhysics.CollisionAPI.Apply(collider.GetPrim())
         UsdPhysics.MeshCollisionAPI.Apply(collider.GetPrim()).CreateApproximationAttr("convexHull")
@@ -63,7 +65,7 @@ def _unseen_support(stage: Any, item: ExportObject, scene: ExportScene) -> None:
     """Colliders that are no bodies: what holds an object up is not known to move."""
     from pxr import Gf, Tf, UsdGeom, UsdPhysics
 
-    for index, (position, wxyz, size) in enumerate(scene.unseen_blocks(item.label)):
+    for index, (position, wxyz, size) in enumerate(scene.bodies(GAP).unseen_blocks(item.label)):
         name = Tf.MakeValidIdentifier(f"object_{item.key}_unseen_support_{index:02d}")
         block = UsdGeom.Cube.Define(stage, f"/World/{name}")
         block.CreateSizeAttr(1.0)
