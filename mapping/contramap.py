@@ -91,6 +91,7 @@ class ContraMap:
         check_resolution(X, self.gamma)
         self.offset = self._offset(count)
         features, order, strongest = self._features(X)
+        nodes = features.nodes if isinstance(features, TiledFeatures) else None
         # The map says "uncertain" beyond its hinge points whatever lies there: samples out of reach would
         # only drive the outermost weights up.
         reached = strongest > REACHED
@@ -103,7 +104,7 @@ class ContraMap:
             targets,
             weights_t,
             self.offset,
-            lambda diagonal: sparse_factor(diagonal, self.hinges, self.gamma),
+            sparse_factor(self.hinges, self.gamma, nodes, self.device).scaled,
             self.config.l2,
             self.config.fit,
             self._begin(start),

@@ -139,25 +139,36 @@ def hinge_cells(hinges: np.ndarray, gamma: np.ndarray, cutoff: float) -> list[Hi
     return found
 
 
-def _cells_of_width(hinges: np.ndarray, rows: np.ndarray, gamma: float, cutoff: float) -> HingeCells | None:
-    radius = float(reach(gamma, cutoff))
+def lattice_of(places: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """The lattice that places (n, d) lie on: its first node (d,), spacing (d,), and the node (n, d) of each,
+    counted from the first; None where there is none of less than MOST_CANDIDATES nodes within `radius`."""
     low, sides, node = [], [], []
-    for coordinates in hinges[rows].T.astype(np.float64):
-        places = np.unique(coordinates)
-        step = float(np.diff(places).min()) if len(places) > 1 else radius
-        index = (coordinates - places[0]) / step
-        if np.abs(index - np.rint(index)).max() > UNEVEN:
+    for coordinates in places.T.astype(np.float64):
+        levels = np.unique(coordinates)
+        step = float(np.diff(levels).min()) if len(levels) > 1 else radius
+        index = (coordinates - levels[0]) / step
+        whole = np.rint(index)
+        if np.abs(index - whole).max() > UNEVEN:
             return None
-        low.append(places[0])
+        low.append(levels[0])
         sides.append(step)
-        node.append(np.rint(index).astype(np.int64))
+        node.append(whole.astype(np.int64))
     spacing = np.array(sides)
     if np.prod(2 * radius / spacing + 1) > MOST_CANDIDATES:
         return None
+    return np.array(low), spacing, np.stack(node, 1)
+
+
+def _cells_of_width(hinges: np.ndarray, rows: np.ndarray, gamma: float, cutoff: float) -> HingeCells | None:
+    radius = float(reach(gamma, cutoff))
+    found = lattice_of(hinges[rows], radius)
+    if found is None:
+        return None
+    low, spacing, node = found
     offsets = _offsets_in_reach(spacing, radius)
     rim = offsets.max(0)
     # Two rims: candidates of a node in the first one lie in the second at most.
-    index = np.stack(node, 1) + 2 * rim
+    index = node + 2 * rim
     shape = tuple(int(n) for n in index.max(0) + 1 + 2 * rim)
     if np.prod(shape, dtype=float) > LARGEST_TABLE:
         return None
@@ -173,7 +184,7 @@ def _cells_of_width(hinges: np.ndarray, rows: np.ndarray, gamma: float, cutoff: 
     along = offsets * spacing
     quadratic = np.vstack([2 * gamma * along.T, np.full(len(along), -gamma), -gamma * (along**2).sum(1)])
     return HingeCells(
-        low=np.array(low) - 2 * rim * spacing,
+        low=low - 2 * rim * spacing,
         spacing=spacing,
         shape=shape,
         ids=ids,

@@ -5,12 +5,14 @@ Knows hinge points and widths; knows nothing of samples' classes or losses.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
 from mapping.compiled import compiled
+from mapping.hinge_nodes import HingeNodes, nearest_earlier
 from mapping.sparse_rows import SparseRows
 from mapping.threads import Threads
 
@@ -27,7 +29,7 @@ class SparseFactor:
     Each row of G solves a small dense system with its nearest earlier neighbours (Vecchia 1988; Kaporin
     1994), so building and applying it is linear in H, unlike a Cholesky factor of A.
     lower: G; upper: its transpose; scale: (H, C), each class's G being `lower` times diag(scale[:, c]), or
-    None: all ones.
+    (H, 1) for all classes, or None: all ones.
     """
 
     lower: SparseRows
@@ -43,36 +45,51 @@ class SparseFactor:
         pushed = self.upper.times(step)
         return pushed if self.scale is None else pushed.mul_(self.scale)
 
+    def scaled(self, diagonal: torch.Tensor) -> SparseFactor:
+        """Of the factor for correlations: that for the Gram matrix which has this diagonal, (H,), or each
+        class's (H, C)."""
+        return replace(self, scale=diagonal.reshape(len(diagonal), -1).rsqrt())
 
-def sparse_factor(diagonal: torch.Tensor, hinges: np.ndarray, gamma: np.ndarray) -> SparseFactor:
-    """Factor for the Gram matrix of Gaussian features, from its diagonal, (H,) or each class's (H, C), and
-    closed forms.
+
+def sparse_factor(
+    hinges: np.ndarray,
+    gamma: np.ndarray,
+    nodes: HingeNodes | None = None,
+    device: torch.device | None = None,
+) -> SparseFactor:
+    """Factor for the correlations of Gaussian features, from closed forms; `scaled` makes one for a Gram
+    matrix of it.
 
     Two features correlate as their L2 inner product: exact for samples of even density, close enough to
     guide a fit for others, positive definite always, and no sum over samples is needed.
-    hinges: (H, d); gamma: (H,).
+    hinges: (H, d); gamma: (H,); nodes: the same on their lattices, where neighbours are found sooner.
     """
-    from scipy.spatial import cKDTree  # here, to keep the import of the map light
-
     count = len(hinges)
     rank = np.random.default_rng(0).permutation(count)  # a random order spreads the error evenly
-    candidates = min(5 * NEIGHBOURS // 2, count)
-    tree = cKDTree(hinges)
+    near = _by_tree(hinges) if nodes is None else None
 
     def rows_of(part: slice) -> tuple[np.ndarray, np.ndarray]:
-        near = tree.query(hinges[part], candidates)[1].reshape(-1, candidates)
-        return factor_rows(part.start, near, rank, hinges, gamma)
+        if near is None:
+            found = nearest_earlier(part.start, part.stop, hinges, rank, nodes, NEIGHBOURS)
+        else:
+            found = near(part)
+        return factor_rows(part.start, found, rank, hinges, gamma)
 
-    with Threads(diagonal.device) as threads:
+    with Threads(device) as threads:
         parts = zip(*threads.map(rows_of, threads.split(count)))
-    columns, values = (torch.from_numpy(np.concatenate(part)).to(diagonal.device) for part in parts)
-    scale = diagonal.rsqrt() if diagonal.ndim == 2 else None
-    if scale is None:
-        values *= diagonal.rsqrt()[columns.long()]
-    width = NEIGHBOURS + 1
-    offsets = torch.arange(0, len(columns), width, dtype=torch.int32, device=diagonal.device)
-    lower = SparseRows(offsets, columns, values)
-    return SparseFactor(lower, lower.transposed(count), scale)
+    columns, values = (torch.from_numpy(np.concatenate(part)) for part in parts)
+    offsets = torch.arange(0, len(columns), NEIGHBOURS + 1, dtype=torch.int32)
+    lower = SparseRows(*(part.to(device or "cpu") for part in (offsets, columns, values)))
+    return SparseFactor(lower, lower.transposed(count))
+
+
+def _by_tree(hinges: np.ndarray) -> Callable[[slice], np.ndarray]:
+    """A function that gives the hinge points (n, .) nearest to each of some rows of hinges (H, d)."""
+    from scipy.spatial import cKDTree  # here, to keep the import of the map light
+
+    candidates = min(5 * NEIGHBOURS // 2, len(hinges))
+    tree = cKDTree(hinges)
+    return lambda part: np.asarray(tree.query(hinges[part], candidates)[1].reshape(-1, candidates), np.int32)
 
 
 @compiled
@@ -103,7 +120,9 @@ def factor_rows(
                 for axis in range(places.shape[1]):
                     squared += (np.float64(places[p, axis]) - places[q, axis]) ** 2
                 total, product = np.float64(gamma[p]) + gamma[q], np.float64(gamma[p]) * gamma[q]
-                overlap = (2 * np.sqrt(product) / total) ** (0.5 * places.shape[1])
+                overlap = 1.0
+                if gamma[p] != gamma[q]:
+                    overlap = (2 * np.sqrt(product) / total) ** (0.5 * places.shape[1])
                 # The ridge keeps hinge points that coincide apart.
                 sums = overlap * np.exp(-product / total * squared) + (RIDGE if a == b else 0.0)
                 for c in range(b):

@@ -6,14 +6,13 @@ Knows points, hinge points and widths; knows nothing of classes, weights' meanin
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import torch
 
 from mapping.compact_order import compact_order
 from mapping.compiled import compiled
-from mapping.hinge_cells import hinge_cells
+from mapping.hinge_nodes import HingeNodes
 from mapping.lanes import (
     LANES,
     above,
@@ -42,19 +41,20 @@ class TiledFeatures:
     """Features of N samples in shares, at least one a thread, each of some tiles that follow each other.
 
     order: (N,) the row's index in the caller's array; strongest: (N,) largest feature of each row;
-    hinge_count: columns, one a hinge point.
+    hinge_count: columns, one a hinge point; nodes: these on their lattices, None where they lie on none.
     """
 
     order: np.ndarray
     strongest: np.ndarray
     shares: list[Tiles]
     hinge_count: int
+    nodes: HingeNodes | None = None
 
 
 def tiled_features(X: np.ndarray, hinges: np.ndarray, gamma: np.ndarray, cutoff: float) -> TiledFeatures:
     """Truncated features of X (N, d); each row keeps the hinge points whose feature exceeds `cutoff`."""
     order = compact_order(X, LANES)
-    nodes = _Nodes.of(hinges, gamma, cutoff)
+    nodes = HingeNodes.of(hinges, gamma, cutoff)
     if nodes is None:
         return _of_search(X, hinges, gamma, cutoff, order)
     points = np.zeros((-(-len(X) // LANES) * LANES, 3), np.float32)
@@ -62,9 +62,9 @@ def tiled_features(X: np.ndarray, hinges: np.ndarray, gamma: np.ndarray, cutoff:
     points[len(X) :] = FAR
     # Tiles in which each coordinate's eight numbers follow each other.
     points = np.ascontiguousarray(points.reshape(-1, LANES, 3).transpose(0, 2, 1))
-    found = map_in_threads(lambda part: _in_reach(points[part], nodes), _parts(len(points)))
+    found = map_in_threads(lambda part: _in_reach(points[part], nodes, np.float32(cutoff)), _parts(len(points)))
     strongest = np.concatenate([values for _, values in found])[: len(X)]
-    return TiledFeatures(order, strongest, [tiles for tiles, _ in found], len(hinges))
+    return TiledFeatures(order, strongest, [tiles for tiles, _ in found], len(hinges), nodes)
 
 
 def tiles_of_rows(ends: np.ndarray, columns: np.ndarray, values: np.ndarray, width: int) -> list[Tiles]:
@@ -98,45 +98,11 @@ def _of_search(
     return TiledFeatures(order, found.strongest.numpy()[back], shares, len(hinges))
 
 
-class _Nodes(NamedTuple):
-    """Hinge points of T widths as nodes of lattices, in three dimensions, of which some may have one node.
-
-    ids: index of the hinge point at each node of the lattices, one lattice after the other, or -1; first:
-    (T,) where each lattice begins; shape, low, spacing: (T, 3) its nodes a side, first node and distances;
-    gamma: (T,); cutoff: smaller features do not count.
-    """
-
-    ids: np.ndarray
-    first: np.ndarray
-    shape: np.ndarray
-    low: np.ndarray
-    spacing: np.ndarray
-    gamma: np.ndarray
-    cutoff: np.float32
-
-    @classmethod
-    def of(cls, hinges: np.ndarray, gamma: np.ndarray, cutoff: float) -> _Nodes | None:
-        """None where hinge points lie on no lattices."""
-        d = hinges.shape[1]
-        cells = hinge_cells(hinges, gamma, cutoff) if d <= 3 else None
-        if cells is None:
-            return None
-        flat = 3 - d
-        return cls(
-            np.concatenate([table.ids for table in cells]),
-            np.append(0, np.cumsum([len(table.ids) for table in cells]))[:-1],
-            np.array([(*table.shape, *[1] * flat) for table in cells]),
-            np.array([(*table.low, *[0] * flat) for table in cells], np.float32),
-            np.array([(*table.spacing, *[1] * flat) for table in cells], np.float32),
-            np.unique(gamma).astype(np.float32),
-            np.float32(cutoff),
-        )
-
-
 @compiled
-def _in_reach(points: np.ndarray, nodes: _Nodes) -> tuple[Tiles, np.ndarray]:
-    """Tiles of points (T, 3, 8), and the largest feature of each of them (8 T,)."""
-    ids, first, shape, low, spacing, gamma, cutoff = nodes
+def _in_reach(points: np.ndarray, nodes: HingeNodes, cutoff: float) -> tuple[Tiles, np.ndarray]:
+    """Tiles of points (T, 3, 8), and the largest feature of each of them (8 T,); those below `cutoff` do not
+    count."""
+    ids, first, shape, low, spacing, gamma = nodes
     coordinates, zero, least = points.reshape(-1), every(np.float32(0)), every(cutoff)
     starts, strongest = np.zeros(len(points) + 1, np.int64), np.empty(len(points) * LANES, np.float32)
     columns = np.empty(64 * len(points) + 1024, np.int32)
@@ -146,7 +112,8 @@ def _in_reach(points: np.ndarray, nodes: _Nodes) -> tuple[Tiles, np.ndarray]:
         x, y = load(coordinates, p * 3 * LANES), load(coordinates, (p * 3 + 1) * LANES)
         z, of_tile = load(coordinates, (p * 3 + 2) * LANES), zero
         for t in range(len(first)):
-            most = _nodes_around(points[p], t, nodes, begin, end)
+            radius = np.sqrt(-np.log(cutoff) / gamma[t])
+            most = _nodes_around(points[p], t, nodes, radius, begin, end)
             if found + most > len(columns):
                 more = len(columns) + most
                 columns = np.concatenate((columns, np.empty(more, np.int32)))
@@ -177,10 +144,12 @@ def _in_reach(points: np.ndarray, nodes: _Nodes) -> tuple[Tiles, np.ndarray]:
 
 
 @compiled
-def _nodes_around(points: np.ndarray, t: int, nodes: _Nodes, begin: np.ndarray, end: np.ndarray) -> int:
-    """Nodes of a lattice that can be in reach of a tile's points (3, 8): how many, and from where to where
-    along each axis."""
-    radius, most = np.sqrt(-np.log(nodes.cutoff) / nodes.gamma[t]), 1
+def _nodes_around(
+    points: np.ndarray, t: int, nodes: HingeNodes, radius: float, begin: np.ndarray, end: np.ndarray
+) -> int:
+    """Nodes of a lattice that can be within `radius` of a tile's points (3, 8): how many, and from where to
+    where along each axis."""
+    most = 1
     for axis in range(3):
         smallest = largest = points[axis, 0]
         for place in points[axis]:

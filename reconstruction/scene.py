@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from time import perf_counter
 
@@ -72,12 +73,17 @@ def reconstruct(
 
 
 def update(
-    result: Reconstruction, frame: Frame, track: bool = False, keep: int | None = None
+    result: Reconstruction,
+    frame: Frame,
+    track: bool = False,
+    keep: int | None = None,
+    config: PipelineConfig | None = None,
 ) -> Reconstruction:
-    """The map of a scene with one view more; see Reconstruction.update."""
+    """The map of a scene with one view more; see Reconstruction.update. config: that of the result, where it
+    is at hand."""
     import open3d  # noqa: F401
 
-    config = pipeline_of(result.config)
+    config = config or pipeline_of(result.config)
     seen = result.observation
     known = seen.views if isinstance(seen, JointObservation) else (_first_view(result.frame, seen),)
     if keep is not None:
@@ -188,7 +194,7 @@ def deliver(scene: FittedScene) -> Reconstruction:
         seed=scene.seed,
         floor=scene.floor,
         other=_other(scene, T_world_table),
-        updater=update,
+        updater=partial(update, config=scene.config),
     )
 
 

@@ -175,7 +175,7 @@ def test_the_factor_is_exact_when_every_row_couples_to_all_earlier_ones():
     gamma = rng.uniform(500, 4000, count).astype(np.float32)
     diagonal = rng.uniform(1, 3, count).astype(np.float32)
     gram = np.sqrt(np.outer(diagonal, diagonal)) * even_gram(places, gamma)
-    factor = sparse_factor(torch.from_numpy(diagonal), places, gamma)
+    factor = sparse_factor(places, gamma).scaled(torch.from_numpy(diagonal))
     G = factor.pull(torch.eye(count)).numpy()
     whitened = G @ gram @ G.T
     # The ridge keeps eigenvalues a little below 1; without whitening they spread over orders of magnitude.
@@ -184,9 +184,9 @@ def test_the_factor_is_exact_when_every_row_couples_to_all_earlier_ones():
     assert 0.2 < np.median(eigenvalues) <= eigenvalues.max() < 1.05
     np.testing.assert_allclose(factor.push(torch.eye(count)).numpy(), G.T, atol=1e-6)
     # A diagonal for each class: each column as its own factor has it.
-    both = sparse_factor(torch.from_numpy(np.column_stack([diagonal, 5 * diagonal])), places, gamma)
+    both = sparse_factor(places, gamma).scaled(torch.from_numpy(np.column_stack([diagonal, 5 * diagonal])))
     g = torch.from_numpy(rng.normal(size=(count, 2)).astype(np.float32))
-    other = sparse_factor(torch.from_numpy(5 * diagonal), places, gamma)
+    other = sparse_factor(places, gamma).scaled(torch.from_numpy(5 * diagonal))
     for ours, theirs, alone in ((both.pull, factor.pull, other.pull), (both.push, factor.push, other.push)):
         want = torch.cat([theirs(g[:, :1]), alone(g[:, 1:])], 1)
         torch.testing.assert_close(ours(g), want, atol=1e-5, rtol=1e-5)
@@ -198,7 +198,7 @@ def test_the_factor_improves_the_condition_number():
     gamma = np.full(len(places), 500, np.float32)
     squared = ((places[:, None] - places[None]) ** 2).sum(2)
     gram = np.exp(-250 * squared) + 1e-3 * np.eye(len(places))
-    factor = sparse_factor(torch.ones(len(places)), places, gamma)
+    factor = sparse_factor(places, gamma).scaled(torch.ones(len(places)))
     G = factor.pull(torch.eye(len(places))).numpy().astype(float)
     assert np.linalg.cond(G @ gram @ G.T) < 0.1 * np.linalg.cond(gram)
 

@@ -73,15 +73,19 @@ def contradictions(
     for a, view in enumerate(views):
         items = view.observation.objects
         few = [item.points[:: 1 + len(item.points) // FEW] for item in items]
-        points, ends = np.concatenate(few), np.cumsum([len(part) for part in few])[:-1]
+        points, lengths = np.concatenate(few), np.array([len(part) for part in few])
+        starts = np.cumsum(lengths) - lengths
         for b in range(count):
             if a == b:
                 continue
-            known = a < settled and b < settled
-            gone = np.zeros(len(points)) if known else passed(spaces[b], nearest[b], points, config)
-            for item, part in zip(items, np.split(gone, ends)):
+            if a < settled and b < settled:
+                gone = np.zeros(len(items))
+            else:
+                passed_by = passed(spaces[b], nearest[b], points, config)
+                gone = np.add.reduceat(passed_by, starts, dtype=np.int64) / lengths
+            for item, share in zip(items, gone.tolist()):
                 shares = found.setdefault(item.label, np.full((count, count), np.nan))
-                shares[a, b] = shares[b, a] = np.fmax(shares[a, b], float(part.mean()))
+                shares[a, b] = shares[b, a] = np.fmax(shares[a, b], share)
     return found
 
 

@@ -69,12 +69,6 @@ def window_of(
     return x, y, z
 
 
-def around(windows: list[Window]) -> Window:
-    """The smallest window that holds all of some windows."""
-    x, y, z = (slice(min(s.start for s in part), max(s.stop for s in part)) for part in zip(*windows))
-    return x, y, z
-
-
 def overlap(a: Window, b: Window) -> Window:
     """What two windows have in common."""
     x, y, z = (slice(max(p.start, q.start), max(p.start, q.start, min(p.stop, q.stop))) for p, q in zip(a, b))
@@ -156,30 +150,54 @@ def evaluate_field(
     lattice = evaluator.on(axes)
     # A steep ramp rather than a step: the surface is to end at the floor, not half a cell from it.
     ramps = [FLOOR_SLOPE * (axes[2] - floor).astype(np.float32) for floor in floors or ()]
-
-    def fill(block: np.ndarray) -> None:
-        x, y, z = (slice(b * BLOCK // COARSE, (b + 1) * BLOCK // COARSE) for b in block.tolist())
-        found = {k: _fine(extent(likely[k, x, y, z]), (x, y, z)) for k in range(len(windows))}
-        parts = {k: overlap(part, windows[k]) for k, part in found.items()}
-        parts = {k: part for k, part in parts.items() if all(p.stop > p.start for p in part)}
-        if not parts:
-            return
-        evaluated = around(list(parts.values()))
-        present = list(parts) if confined else list(range(len(windows)))
-        columns = [0, *(own[k] for k in present), *rivals, last]
-        odds, unsure = _odds(lattice.lines(evaluated, np.array(columns)), len(present))
-        height = evaluated[2].stop - evaluated[2].start
-        uncertainty[evaluated] = unsure[..., :height]
-        for k, of_one in zip(present, odds[..., :height]):
-            if k in parts:
-                if ramps:
-                    np.minimum(of_one, ramps[k][evaluated[2]], out=of_one)
-                log_odds[k][within(parts[k], windows[k])] = of_one[within(parts[k], evaluated)]
-
     # Blocks that no object can be in are not looked at.
     of_blocks = likely.any(0).reshape([n for blocks in count for n in (blocks, BLOCK // COARSE)])
-    map_in_threads(fill, np.argwhere(np.any(of_blocks, axis=(1, 3, 5))))
+    blocks = np.argwhere(np.any(of_blocks, axis=(1, 3, 5)))
+    parts = _parts(likely.view(np.uint8), np.array([[(s.start, s.stop) for s in w] for w in windows]), blocks)
+
+    def fill(number: int) -> None:
+        held = np.flatnonzero(parts[number, :, 0] < parts[number, :, 3])
+        if not len(held):
+            return
+        ends = parts[number, held]
+        first, beyond = ends[:, :3].min(0), ends[:, 3:].max(0)
+        x, y, z = (slice(a, b) for a, b in zip(first.tolist(), beyond.tolist()))
+        present = held.tolist() if confined else list(range(len(windows)))
+        columns = [0, *(own[k] for k in present), *rivals, last]
+        odds, unsure = _odds(lattice.lines((x, y, z), np.array(columns)), len(present))
+        height = z.stop - z.start
+        uncertainty[x, y, z] = unsure[..., :height]
+        for k, ends_of_one in zip(held.tolist(), ends.tolist()):
+            of_one = odds[present.index(k), ..., :height]
+            if ramps:
+                np.minimum(of_one, ramps[k][z], out=of_one)
+            part = tuple(slice(*pair) for pair in zip(ends_of_one[:3], ends_of_one[3:]))
+            log_odds[k][within(part, windows[k])] = of_one[within(part, (x, y, z))]
+
+    map_in_threads(fill, range(len(blocks)))
     return Field(origin, spacing, windows, log_odds, uncertainty)
+
+
+@compiled
+def _parts(likely: np.ndarray, windows: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+    """Of each block (B, 3) the part where each object can be: (B, K, 6) its first nodes and those after its
+    last ones along each axis, 0 where there is none. likely: (K, nx, ny, nz) coarse nodes; windows: (K, 3, 2)
+    first node and the one after the last of each object's window."""
+    side = BLOCK // COARSE
+    found = np.zeros((len(blocks), len(likely), 6), np.int64)
+    for b in range(len(blocks)):
+        for k in range(len(likely)):
+            x, y, z = side * blocks[b]
+            ends, empty = _ends(likely[k, x : x + side, y : y + side, z : z + side]), False
+            for axis in range(3):
+                corner = side * blocks[b, axis]
+                low = max(COARSE * (corner + ends[axis]), windows[k, axis, 0])
+                high = min(COARSE * (corner + ends[axis + 3] + 1), windows[k, axis, 1])
+                found[b, k, axis], found[b, k, axis + 3] = low, high
+                empty = empty or ends[axis] > ends[axis + 3] or low >= high
+            if empty:
+                found[b, k] = 0
+    return found
 
 
 @compiled
@@ -216,10 +234,9 @@ def _likely(odds: np.ndarray) -> np.ndarray:
     return np.asarray(ndimage.maximum_filter(odds, size=(1, 3, 3, 3)) > SKIP_LOG_ODDS)
 
 
-def _fine(coarse: Window | None, inside: Window | None = None) -> Window:
-    """The nodes that coarse ones stand for, those of a window counted from another's first; none for None."""
+def _fine(coarse: Window | None) -> Window:
+    """The nodes that coarse ones stand for; none for None."""
     if coarse is None:
         return slice(0, 0), slice(0, 0), slice(0, 0)
-    first = (0, 0, 0) if inside is None else [part.start for part in inside]
-    x, y, z = (slice(COARSE * (f + s.start), COARSE * (f + s.stop)) for s, f in zip(coarse, first))
+    x, y, z = (slice(COARSE * part.start, COARSE * part.stop) for part in coarse)
     return x, y, z
