@@ -52,11 +52,11 @@ def lattice_near_points(points: np.ndarray, distance: float, spacing: float) -> 
 def _cells(points: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The nearest multiple of `spacing` to each of points (N, d), counted in it (N, d), and the least and the
     greatest of them along each axis (d,)."""
-    cells = np.empty(points.shape, np.int64)
-    for i in range(len(points)):
-        for axis in range(points.shape[1]):
-            cells[i, axis] = np.int64(np.rint(points[i, axis] / spacing))
-    low, high = cells[0].copy(), cells[0].copy()
+    cells = np.empty(points.shape, np.int32)
+    flat, coordinates = cells.reshape(-1), points.reshape(-1)
+    for i in range(len(flat)):  # one row after the other: so it becomes vectors
+        flat[i] = np.int32(np.rint(coordinates[i] / spacing))
+    low, high = cells[0].astype(np.int64), cells[0].astype(np.int64)
     for i in range(len(points)):
         for axis in range(points.shape[1]):
             low[axis] = min(low[axis], cells[i, axis])

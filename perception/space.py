@@ -77,7 +77,7 @@ class Space:
             guessed=guessed,
         )
 
-    @property
+    @cached_property
     def origin(self) -> np.ndarray:
         """(3,) the camera's centre in the table frame [m]: where all rays start."""
         return invert_rigid(self.T_camera_table)[:3, 3]
@@ -89,7 +89,7 @@ class Space:
     def look(self, points: np.ndarray) -> Sight:
         """What the camera sees on the ray through each point."""
         A, b = self._projection
-        return Sight(*sights(*_axes(points), A, b, self._framed_depth))
+        return Sight(*sights(*axes_of(points), A, b, self._framed_depth))
 
     def pixel_of(self, points: np.ndarray) -> np.ndarray:
         """Flat index (N,) int32 of the pixel that sees each point, -1 outside the image."""
@@ -101,11 +101,15 @@ class Space:
 
     def classify(self, points: np.ndarray) -> np.ndarray:
         """The Region of each point, (N,) int8."""
+        return self.classify_axes(*axes_of(points))
+
+    def classify_axes(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """The Region of each point, given axis by axis, (N,) int8."""
         A, b = self._projection
         base, growth = np.float32(self.config.surface_margin), np.float32(2 * self.config.depth_noise)
         lowest = np.float32(self.floor) - base if self.has_support else np.float32(-np.inf)
         return np.asarray(
-            ranks(*_axes(points), A, b, self._framed_depth, self._framed_guess, base, growth, lowest)
+            ranks(x, y, z, A, b, self._framed_depth, self._framed_guess, base, growth, lowest)
         )
 
     @cached_property
@@ -127,7 +131,7 @@ class Space:
         return np.ascontiguousarray(P[:, :3], np.float32), np.ascontiguousarray(P[:, 3], np.float32)
 
 
-def _axes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def axes_of(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points (N, 3) axis by axis, each in one piece."""
     points = np.asarray(points, np.float32)
     if points.ndim != 2 or points.shape[1] != 3:

@@ -38,7 +38,7 @@ from reconstruction.surface.meshing import ObjectSolid, extract_mesh, kept_apart
 from reconstruction.surface.refined import values_at
 from reconstruction.surface.seen_surface import SeenSurface, seen_by
 from reconstruction.surface.whole_shape import WholeShape, whole_shape
-from reconstruction.warm_start import SHAPES, Before, Surface
+from reconstruction.warm_start import LEFT, SHAPES, Before, Surface
 
 OTHER_MARGIN = 0.03
 """Obstacles without a label are mapped this far around what is seen of them [m]."""
@@ -223,8 +223,10 @@ class FittedScene:
         nodes = (np.asarray(surface.mesh.vertices) - field.corner(window)) / field.spacing
         uncertainty = np.clip(values_at(field.uncertainty[window], nodes), 0, 1)
         if self.seen is not None:
-            uncertainty *= share_left(self.seen.edges(index), surface.mesh.vertices)
-        return Surface(surface.mesh, uncertainty, surface.field)
+            left = share_left(self.seen.edges(index), surface.mesh.vertices, self.before.left.get(label))
+            self.observation.memo.setdefault(LEFT, {})[label] = left
+            uncertainty *= left
+        return Surface(surface.mesh, uncertainty, surface.field, surface.placed)
 
     @cached_property
     def other(self) -> Surface | None:

@@ -29,7 +29,7 @@ from reconstruction.pictures.palette import paint
 from reconstruction.result import ObjectField, OtherObstacles, ReconstructedObject, Reconstruction
 from reconstruction.surface.field import Field, overlap, window_of, within
 from reconstruction.surface.parts import SEEN_POINTS
-from reconstruction.warm_start import SHAPES, Before, Surface
+from reconstruction.warm_start import LEFT, SHAPES, Before, Surface
 
 STAGES = {
     "observation": "observe",
@@ -100,7 +100,8 @@ def update(
     new = [view.observation for view in joint.views if view.number not in numbers]
     surfaces = _surfaces(result)
     shapes = seen.memo.get((SHAPES, config.mesh.fusion), {})
-    before = Before(result.map, result.map_labels, surfaces, _untouched(surfaces, new, config), shapes)
+    left = seen.memo.get(LEFT, {})
+    before = Before(result.map, result.map_labels, surfaces, _untouched(surfaces, new, config), shapes, left)
     scene = FittedScene(result.frame, config, generator(result.seed), result.seed, given=joint, before=before)
     updated = _clocked(scene)
     return replace(updated, notes=tuple(dict.fromkeys([*result.notes, *updated.notes])))
@@ -117,6 +118,7 @@ def _surfaces(result: Reconstruction) -> dict[int, Surface]:
             ),
             item.uncertainty,
             fields.get(item.label),
+            item,
         )
         for item in result.objects
     }
@@ -249,6 +251,11 @@ def _place(
     surface: Surface, item: ObservedObject, class_index: int, T_world_table: np.ndarray
 ) -> ReconstructedObject:
     """The object in the world frame, with its upright box of least footprint."""
+    if surface.placed is not None:  # where it was: nothing may move a surface that stays
+        was = surface.placed
+        mesh = trimesh.Trimesh(was.mesh.vertices, was.mesh.faces, process=False)
+        paint(mesh, surface.uncertainty)
+        return replace(was, class_index=class_index, mesh=mesh, uncertainty=surface.uncertainty)
     local = np.asarray(surface.mesh.vertices)
     T_table_object, extents = upright_box(local)
     mesh = trimesh.Trimesh(transform(T_world_table, local), surface.mesh.faces, process=False)

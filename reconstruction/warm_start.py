@@ -15,35 +15,41 @@ import trimesh
 from mapping.contramap import ContraMap
 from mapping.known_points import among
 from perception.observation import NOTHING, OTHER
-from reconstruction.result import ObjectField
+from reconstruction.result import ObjectField, ReconstructedObject
 from reconstruction.samples.training_set import TrainingSet
 from reconstruction.surface.whole_shape import WholeShape
 
 SHAPES = "shapes"
 """Entry of an observation's memo, with the settings they were looked for by: shapes by label."""
+LEFT = "left"
+"""Entry of an observation's memo: shares of uncertainty, by label, of surfaces that stayed; see Before.left."""
 
 
 @dataclass(frozen=True)
 class Surface:
     """One object's closed surface in the table frame. uncertainty: (V,) float32 p(uncertain) at vertices;
-    field: the map it was taken from, where that is an earlier one."""
+    field: the map it was taken from, where that is an earlier one, and placed: the same as it was delivered
+    then."""
 
     mesh: trimesh.Trimesh
     uncertainty: np.ndarray
     field: ObjectField | None = None
+    placed: ReconstructedObject | None = None
 
 
 @dataclass(frozen=True)
 class Before:
     """A map that was fitted before. labels: of its columns, as Reconstruction.map_labels. surfaces: of its
     objects, by label; kept: those of them that stay as they are, no view being new to them; shapes: that
-    they were found to have, as far as they were looked for."""
+    they were found to have, as far as they were looked for; left: (V,) what the earlier views leave of the
+    uncertainty at a surface's vertices, by label, as far as that was worked out."""
 
     map: ContraMap
     labels: tuple[int, ...]
     surfaces: Mapping[int, Surface] = field(default_factory=dict)
     kept: frozenset[int] = frozenset()
     shapes: Mapping[int, WholeShape | None] = field(default_factory=dict)
+    left: Mapping[int, np.ndarray] = field(default_factory=dict)
 
     def weights(self, training: TrainingSet, labels: Sequence[int]) -> np.ndarray:
         """(H, C+1) float32: the earlier weights of each hinge point and class; 0 for new ones. Hinge points

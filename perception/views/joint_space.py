@@ -13,10 +13,10 @@ from typing import TypeVar
 import numpy as np
 
 from mapping.compiled import compiled
-from mapping.threads import map_in_threads
+from mapping.threads import Threads, map_in_threads
 from perception.config import PerceptionConfig
 from perception.observation import Observation
-from perception.space import Region, Sight, Space
+from perception.space import Region, Sight, Space, axes_of
 from perception.views.joint import JointObservation, Stack
 
 SHARED_FROM = 10_000
@@ -79,8 +79,21 @@ class JointSpace(Space):
     def classify(self, points: np.ndarray) -> np.ndarray:
         """The Region of each point, (N,) int8: BELOW_SUPPORT, FREE, SURFACE, OCCLUDED, whichever comes
         first in any view, else OUT_OF_VIEW."""
-        regions = _of_each(lambda space: space.classify(points), self._on_floor, len(points))
-        return np.asarray(_ranked(np.stack(regions)))
+        axes, parts = axes_of(points), [slice(0, len(points))]
+        if len(points) >= SHARED_FROM:
+            parts = Threads().split(len(points))
+        found = map_in_threads(lambda part: self._classify(*(axis[part] for axis in axes)), parts)
+        return np.concatenate([np.empty(0, np.int8), *found])
+
+    def _classify(self, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        rank, asked = np.zeros(len(x), np.int8), np.arange(len(x))
+        # Where all views have a support or none has, nothing outweighs "free".
+        enough = RANK[Region.FREE] if len({space.has_support for space in self.views}) == 1 else np.int8(127)
+        for space in self._on_floor:
+            left = _raise(rank, asked, space.classify_axes(x, y, z), enough)
+            if len(left) < len(asked):
+                x, y, z, asked = x[left], y[left], z[left], asked[left]
+        return np.asarray(REGION_OF_RANK[rank])
 
     def origin_of(self, pixels: np.ndarray) -> np.ndarray:
         """(N, 3) where the rays of pixels (N,) start [m]."""
@@ -141,13 +154,13 @@ def _most_told(
 
 
 @compiled
-def _ranked(regions: np.ndarray) -> np.ndarray:
-    """Of the regions (V, N) that views give points, the one that outweighs the others: (N,) int8."""
-    views, count = regions.shape
-    rank, found = np.zeros(count, np.int8), np.empty(count, np.int8)
-    for v in range(views):
-        for i in range(count):
-            rank[i] = max(rank[i], RANK[regions[v, i]])
-    for i in range(count):
-        found[i] = REGION_OF_RANK[rank[i]]
-    return found
+def _raise(rank: np.ndarray, asked: np.ndarray, regions: np.ndarray, enough: int) -> np.ndarray:
+    """Raise the rank (N,) int8 of points asked (M,) to that of the regions (M,) that one more view gives them;
+    and which of these (L,) have less than `enough`."""
+    left, count = np.empty(len(asked), np.int64), 0
+    for i in range(len(asked)):
+        own = max(rank[asked[i]], RANK[regions[i]])
+        rank[asked[i]] = own
+        left[count] = i
+        count += own < enough
+    return left[:count]

@@ -83,8 +83,9 @@ def visible_end(item: ObservedObject, space: Space) -> float:
 
 def seen_from_above(item: ObservedObject, space: Space) -> bool:
     """Whether an object is seen so steeply that its top hides its foot."""
-    sight = space.origin - np.mean(item.bounds, axis=0)
-    return bool(sight[2] > STEEP * np.linalg.norm(sight))
+    low, high = item.bounds
+    sight = space.origin - (low + high) / 2
+    return bool(sight[2] > STEEP * np.sqrt(sight @ sight))
 
 
 def with_feet(

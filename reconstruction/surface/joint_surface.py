@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -56,7 +57,16 @@ class JointSurface:
         return cls(tuple(views), tuple(own), floors, thinnest)
 
     def edges(self, index: int) -> JointEdges:
-        """The edges of one object's images."""
+        """The edges of one object's images; the same when asked again."""
+        if index not in self._edges:
+            self._edges[index] = self._edges_of(index)
+        return self._edges[index]
+
+    @cached_property
+    def _edges(self) -> dict[int, JointEdges]:
+        return {}
+
+    def _edges_of(self, index: int) -> JointEdges:
         edges = tuple(seen.edges(own[index]) for seen, own in zip(self.views, self.own))
         depths = [view.usual_depth for view in edges]
         nearest = np.min(depths)

@@ -19,11 +19,17 @@ LEAST = 0.05
 """Share of the uncertainty that measured places keep."""
 
 
-def share_left(edges: Edges | JointEdges, points: np.ndarray) -> np.ndarray:
+def share_left(
+    edges: Edges | JointEdges, points: np.ndarray, before: np.ndarray | None = None
+) -> np.ndarray:
     """Share (N,) of the uncertainty at vertices (N, 3) [m] that measurements leave: LEAST on what was
-    measured, 1 away from it and where no ray shows the object."""
+    measured, 1 away from it and where no ray shows the object.
+
+    before: (N,) what all views but the last leave, if that is known.
+    """
     points = np.ascontiguousarray(points, np.float32)
-    left = np.ones(len(points), np.float32)
-    for view in edges.views if isinstance(edges, JointEdges) else (edges,):
+    left = np.ones(len(points), np.float32) if before is None else before.copy()
+    views = edges.views if isinstance(edges, JointEdges) else (edges,)
+    for view in views if before is None else views[-1:]:
         view.leave(points, min(max(WITHIN, NOISES * view.noise), MOST), LEAST, left)
     return left
