@@ -56,11 +56,12 @@ def _cells(points: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray, 
     flat, coordinates = cells.reshape(-1), points.reshape(-1)
     for i in range(len(flat)):  # one row after the other: so it becomes vectors
         flat[i] = np.int32(np.rint(coordinates[i] / spacing))
-    low, high = cells[0].astype(np.int64), cells[0].astype(np.int64)
-    for i in range(len(points)):
-        for axis in range(points.shape[1]):
-            low[axis] = min(low[axis], cells[i, axis])
-            high[axis] = max(high[axis], cells[i, axis])
+    low, high = np.empty(points.shape[1], np.int64), np.empty(points.shape[1], np.int64)
+    for axis in range(points.shape[1]):
+        least = most = cells[0, axis]
+        for i in range(len(points)):
+            least, most = min(least, cells[i, axis]), max(most, cells[i, axis])
+        low[axis], high[axis] = least, most
     return cells, low, high
 
 

@@ -42,27 +42,28 @@ def steady_subsample(points: np.ndarray, order: np.ndarray, size: float, seed: i
     float32: one of those first in `order` (N,) int, whichever the seed picks."""
     if len(points) == 0:
         return np.empty(0, np.int64)
-    key, count = _cells(np.ascontiguousarray(points, np.float32), size)
+    points = np.ascontiguousarray(points, np.float32)
+    key, count = _cells(points, size)
     if count > max(LARGEST_TABLE * len(points), 1 << 16):
         filled, key = np.unique(key, return_inverse=True)
         count = len(filled)
-    marks = _marks(_bits(points), _salt(seed, size))
-    return np.asarray(_first_of_each(key, order.astype(np.int64), marks, count))
+    return np.asarray(_first_of_each(key, order, points.view(np.int32), _salt(seed, size), count))
 
 
 @compiled
 def _cells(points: np.ndarray, size: float) -> tuple[np.ndarray, int]:
     """The cell, between multiples of `size`, of each of points (N, 3), as one number (N,) of the box that
     holds them all, and how many cells that has."""
-    cells = np.empty(points.shape, np.int64)
-    for i in range(len(points)):
-        for axis in range(3):
-            cells[i, axis] = np.int64(np.floor(np.float64(points[i, axis]) / size))
-    low, high = cells[0].copy(), cells[0].copy()
-    for i in range(len(points)):
-        for axis in range(3):
-            low[axis] = min(low[axis], cells[i, axis])
-            high[axis] = max(high[axis], cells[i, axis])
+    cells = np.empty(points.shape, np.int32)
+    flat, coordinates = cells.reshape(-1), points.reshape(-1)
+    for i in range(len(flat)):
+        flat[i] = np.int32(np.floor(np.float64(coordinates[i]) / size))
+    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    for axis in range(3):
+        least = most = cells[0, axis]
+        for i in range(len(points)):
+            least, most = min(least, cells[i, axis]), max(most, cells[i, axis])
+        low[axis], high[axis] = least, most
     extent, key = high - low + 1, np.empty(len(points), np.int64)
     for i in range(len(points)):
         x, y, z = cells[i, 0] - low[0], cells[i, 1] - low[1], cells[i, 2] - low[2]
@@ -128,13 +129,20 @@ def _around(cells: np.ndarray, spacing: float, salt: np.uint64) -> np.ndarray:
 
 
 @compiled
-def _first_of_each(key: np.ndarray, order: np.ndarray, marks: np.ndarray, count: int) -> np.ndarray:
-    """Of points (N,) in cells `key` the first of each, by order, then marks: indices in ascending order."""
-    best = np.full(count, -1, np.int64)
+def _first_of_each(
+    key: np.ndarray, order: np.ndarray, words: np.ndarray, salt: np.uint64, count: int
+) -> np.ndarray:
+    """Of points in cells `key` (N,) the first of each, by order (N,), then by the marks of words (N, 3):
+    indices in ascending order."""
+    best, least = np.full(count, -1, np.int32), np.empty(count, np.uint64)
     for i in range(len(key)):
-        other = best[key[i]]
-        if other < 0 or order[i] < order[other] or (order[i] == order[other] and marks[i] < marks[other]):
-            best[key[i]] = i
+        cell = key[i]
+        other = best[cell]
+        if other >= 0 and order[i] > order[other]:
+            continue  # most points of a surface that was seen before
+        mark = _mark(np.int64(words[i, 0]), np.int64(words[i, 1]), np.int64(words[i, 2]), salt)
+        if other < 0 or order[i] < order[other] or mark < least[cell]:
+            best[cell], least[cell] = i, mark
     chosen = np.zeros(len(key), np.bool_)
     for found in best:
         if found >= 0:

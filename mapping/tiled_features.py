@@ -62,7 +62,9 @@ def tiled_features(X: np.ndarray, hinges: np.ndarray, gamma: np.ndarray, cutoff:
     points[len(X) :] = FAR
     # Tiles in which each coordinate's eight numbers follow each other.
     points = np.ascontiguousarray(points.reshape(-1, LANES, 3).transpose(0, 2, 1))
-    found = map_in_threads(lambda part: _in_reach(points[part], nodes, np.float32(cutoff)), _parts(len(points)))
+    found = map_in_threads(
+        lambda part: _in_reach(points[part], nodes, np.float32(cutoff)), _parts(len(points))
+    )
     strongest = np.concatenate([values for _, values in found])[: len(X)]
     return TiledFeatures(order, strongest, [tiles for tiles, _ in found], len(hinges), nodes)
 

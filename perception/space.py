@@ -108,9 +108,7 @@ class Space:
         A, b = self._projection
         base, growth = np.float32(self.config.surface_margin), np.float32(2 * self.config.depth_noise)
         lowest = np.float32(self.floor) - base if self.has_support else np.float32(-np.inf)
-        return np.asarray(
-            ranks(x, y, z, A, b, self._framed_depth, self._framed_guess, base, growth, lowest)
-        )
+        return np.asarray(ranks(x, y, z, A, b, self._framed_depth, self._framed_guess, base, growth, lowest))
 
     @cached_property
     def _framed_depth(self) -> np.ndarray:

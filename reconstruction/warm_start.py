@@ -22,7 +22,7 @@ from reconstruction.surface.whole_shape import WholeShape
 SHAPES = "shapes"
 """Entry of an observation's memo, with the settings they were looked for by: shapes by label."""
 LEFT = "left"
-"""Entry of an observation's memo: shares of uncertainty, by label, of surfaces that stayed; see Before.left."""
+"""Entry of an observation's memo: what views leave of the uncertainty of surfaces that stayed, by label."""
 
 
 @dataclass(frozen=True)

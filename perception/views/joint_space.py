@@ -155,8 +155,8 @@ def _most_told(
 
 @compiled
 def _raise(rank: np.ndarray, asked: np.ndarray, regions: np.ndarray, enough: int) -> np.ndarray:
-    """Raise the rank (N,) int8 of points asked (M,) to that of the regions (M,) that one more view gives them;
-    and which of these (L,) have less than `enough`."""
+    """Raise the rank (N,) int8 of points asked (M,) to that of the regions (M,) which one more view gives
+    them; and which of these (L,) have less than `enough`."""
     left, count = np.empty(len(asked), np.int64), 0
     for i in range(len(asked)):
         own = max(rank[asked[i]], RANK[regions[i]])

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mapping.compiled import compiled
 from perception.camera import transform
 from perception.frame import Frame
 from perception.observation import NOTHING, Observation, ObservedObject
@@ -45,22 +46,44 @@ def relabelled(
     table = np.zeros(1 << 16, np.uint16)
     for old, new in labels.items():
         table[old] = new
-    seen = observation.seen
-    if seen is not None:
-        seen = np.where(seen > 0, table[np.maximum(seen, 0)].astype(seen.dtype), seen)
-        seen = np.where((observation.seen > 0) & (seen == 0), seen.dtype.type(NOTHING), seen)  # type: ignore[operator]
+    seen = None if observation.seen is None else _renumbered(observation.seen, table)
     objects = tuple(
         replace(item, label=labels[item.label], name=names[labels[item.label]])
         for item in observation.objects
     )
     own = observation.labels if frame.labels is None else frame.labels
-    # Numbers that cleaning made for further things of one label stand in its own image alone.
-    given = np.where(table[own] > 0, own, observation.labels)
-    given = np.where((observation.labels > 0) & (observation.labels != own), observation.labels, given)
+    given, cleaned = _relabelled(own, observation.labels, table)
     frame = frame.renamed({})
-    object.__setattr__(frame, "labels", table[given])
+    object.__setattr__(frame, "labels", given)
     object.__setattr__(frame, "names", dict(names))
-    return frame, replace(observation, labels=table[observation.labels], objects=objects, seen=seen)
+    return frame, replace(observation, labels=cleaned, objects=objects, seen=seen)
+
+
+@compiled
+def _renumbered(seen: np.ndarray, table: np.ndarray) -> np.ndarray:
+    """What pixels (H, W) see under new numbers: NOTHING where a label has none."""
+    found = seen.copy()
+    for row in range(seen.shape[0]):
+        for column in range(seen.shape[1]):
+            if seen[row, column] > 0:
+                number = table[seen[row, column]]
+                found[row, column] = number if number > 0 else NOTHING
+    return found
+
+
+@compiled
+def _relabelled(own: np.ndarray, cleaned: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Labels (H, W) as they were given, and cleaned ones, under new numbers. Numbers that cleaning made for
+    further things of one label stand in its own image alone."""
+    given, others = np.empty(own.shape, table.dtype), np.empty(own.shape, table.dtype)
+    for row in range(own.shape[0]):
+        for column in range(own.shape[1]):
+            first, second = own[row, column], cleaned[row, column]
+            others[row, column] = table[second]
+            if table[first] == 0 or (second > 0 and second != first):
+                first = second
+            given[row, column] = table[first]
+    return given, others
 
 
 def without_pixels(observation: Observation, frame: Frame, pixels: np.ndarray) -> tuple[Observation, Frame]:

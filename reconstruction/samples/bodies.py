@@ -11,10 +11,15 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
+from mapping.compiled import compiled
+
 SURE = 0.8
 """So surely a hidden point is what a body says, unless it is near its surface: it is hidden all the same."""
 NEAR = 0.004
 """Surfaces are known to about this [m]."""
+
+
+_SURE, _NEAR = np.float32(SURE), np.float32(NEAR)
 
 
 class Body(Protocol):
@@ -34,14 +39,26 @@ def with_bodies(
     which of the points (N,) lie in a body that is never hollow."""
     guess, filled = guess.copy(), np.zeros(len(points), np.bool_)
     for own, body in enumerate(bodies, start=1):
-        if body is None:
-            continue
-        depth = np.nan_to_num(body.depth_known(points))
-        filled |= body.never_hollow & (depth > 0)
-        sure = (SURE * np.clip(np.abs(depth) / NEAR, 0, 1)).astype(guess.dtype)
-        within, beyond = np.where(depth > 0, sure, 0), np.where(depth < 0, sure, 0)
-        guess *= (1 - within)[:, None]
-        guess[:, own] += within
-        guess[:, 0] += guess[:, own] * beyond
-        guess[:, own] *= 1 - beyond
+        if body is not None:
+            _say(guess, filled, own, body.depth_known(points), body.never_hollow)
     return guess, filled
+
+
+@compiled
+def _say(guess: np.ndarray, filled: np.ndarray, own: int, depth: np.ndarray, never_hollow: bool) -> None:
+    """Put what a body of class `own` says into the guess (N, K+1), and into which points (N,) are filled.
+    depth: (N,) [m], NaN where it says nothing."""
+    one = np.float32(1)
+    for i in range(len(depth)):
+        deep = depth[i]
+        if deep == 0 or np.isnan(deep):
+            continue
+        sure = _SURE * min(abs(deep) / _NEAR, one)
+        if deep > 0:
+            filled[i] |= never_hollow
+            for k in range(guess.shape[1]):
+                guess[i, k] *= one - sure
+            guess[i, own] += sure
+        else:
+            guess[i, 0] += guess[i, own] * sure
+            guess[i, own] *= one - sure

@@ -19,9 +19,7 @@ LEAST = 0.05
 """Share of the uncertainty that measured places keep."""
 
 
-def share_left(
-    edges: Edges | JointEdges, points: np.ndarray, before: np.ndarray | None = None
-) -> np.ndarray:
+def share_left(edges: Edges | JointEdges, points: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
     """Share (N,) of the uncertainty at vertices (N, 3) [m] that measurements leave: LEAST on what was
     measured, 1 away from it and where no ray shows the object.
 
