@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from mapping.hinges import lattice_near_points
+from mapping.threads import map_in_threads
 from reconstruction.config import TabletopSamples
 
 
@@ -17,13 +18,12 @@ def hinge_points(
     """Hinge points (H, 3) and widths (H,): coarse over the covered space, finer near some points, finer
     still on seen surfaces and at feet, finest on thin walls. fine, ground, thin, covered: (N, 3) [m] each."""
     lattices = [
-        (lattice_near_points(covered, 0.0, config.coarse_spacing), config.coarse_gamma),
-        (lattice_near_points(fine, config.fine_distance, config.fine_spacing), config.fine_gamma),
+        (covered, 0.0, config.coarse_spacing, config.coarse_gamma),
+        (fine, config.fine_distance, config.fine_spacing, config.fine_gamma),
     ]
     if config.finest_distance is not None:
-        finest = lattice_near_points(ground, config.finest_distance, config.finest_spacing)
-        lattices.append((finest, config.finest_gamma))
+        lattices.append((ground, config.finest_distance, config.finest_spacing, config.finest_gamma))
     if config.thin_spacing is not None and len(thin):
-        lattices.append((lattice_near_points(thin, 0.0, config.thin_spacing), config.thin_gamma))
-    points, widths = zip(*lattices)
-    return np.concatenate(points), np.repeat(widths, [len(p) for p in points])
+        lattices.append((thin, 0.0, config.thin_spacing, config.thin_gamma))
+    points = map_in_threads(lambda lattice: lattice_near_points(*lattice[:3]), lattices)
+    return np.concatenate(points), np.repeat([lattice[3] for lattice in lattices], [len(p) for p in points])

@@ -5,16 +5,19 @@ Knows which samples there are and which label each gets; knows nothing of the fi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from mapping.threads import map_in_threads
 from perception.observation import Observation
 from perception.space import Space
 from reconstruction.config import TabletopSamples
 from reconstruction.samples import labels
 from reconstruction.samples.bodies import Body
+from reconstruction.samples.draws import SteadyDraws
 from reconstruction.samples.even_noise import spread_evenly
 from reconstruction.samples.hinge_points import hinge_points
 from reconstruction.samples.obstacles import near_obstacles, obstacle_samples
@@ -93,11 +96,17 @@ class _Drawn:
 
     @classmethod
     def of(cls, scope: Scope) -> _Drawn:
-        around = open_space(scope)
+        def in_turn(kinds: Sequence[Callable[[Scope], Any]]) -> list[Any]:
+            return [kind(scope) for kind in kinds]
+
         below, foot = np.empty((2, 0, 3), np.float32)
+        kinds = [[open_space], [below_support, feet] if scope.supported else [], [surface_samples]]
+        # What a generator draws depends on what it drew before.
+        by_place = isinstance(scope.draws, SteadyDraws)
+        around, under, surface = (map_in_threads if by_place else map)(in_turn, kinds)
         if scope.supported:
-            below, foot = below_support(scope), feet(scope)
-        return cls(scope, around, below, foot, surface_samples(scope))
+            below, foot = under
+        return cls(scope, around[0], below, foot, surface[0])
 
     @property
     def asked(self) -> np.ndarray:
