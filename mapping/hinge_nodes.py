@@ -69,7 +69,8 @@ def nearest_earlier(
     ids, first, shape, low, spacing, _ = nodes
     found = np.empty((stop - start, count), np.int32)
     least = np.empty(count, np.float32)
-    begin, end, squares = np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros((3, 3), np.float32)
+    begin, end = np.zeros(3, np.int64), np.zeros(3, np.int64)
+    squares = np.zeros((3, 3), np.float32)
     for own in range(start, stop):
         row = found[own - start]
         row[:] = own
@@ -77,8 +78,9 @@ def nearest_earlier(
         for t in range(len(first)):
             for axis in range(3):
                 place = hinges[own, axis] if axis < hinges.shape[1] else np.float32(0)
-                node = np.int64(np.rint((place - low[t, axis]) / spacing[t, axis]))
-                begin[axis], end[axis] = max(node - 1, 0), min(node + 2, shape[t, axis])
+                node = int(np.rint((place - low[t, axis]) / spacing[t, axis]))
+                begin[axis] = max(node - 1, 0)
+                end[axis] = min(node + 2, int(shape[t, axis]))
                 for n in range(begin[axis], end[axis]):
                     off = place - (low[t, axis] + np.float32(n) * spacing[t, axis])
                     squares[axis, n - begin[axis]] = off * off

@@ -52,6 +52,37 @@ def test_features_found_by_cells_are_those_found_by_search(dimensions):
         torch.testing.assert_close(found[rows], sums, atol=1e-4, rtol=0)
 
 
+@pytest.mark.parametrize("dimensions", [2, 3])
+def test_neighbours_on_lattices_are_the_nearest_ones(dimensions):
+    from mapping.hinge_nodes import HingeNodes, nearest_earlier
+    from mapping.hinges import lattice_in_box
+
+    rng = np.random.default_rng(3)
+    box, spacings = (np.zeros(dimensions), np.full(dimensions, 0.25)), (0.05, 0.021)
+    lattices = [lattice_in_box(*box, spacing) for spacing in spacings]
+    lattices[1] = lattices[1][rng.random(len(lattices[1])) < 0.4]
+    hinges = np.concatenate(lattices)
+    of = np.repeat([0, 1], [len(h) for h in lattices])
+    gamma = np.array([1000.0, 5000.0], np.float32)[of]
+    nodes = HingeNodes.of(hinges, gamma, 1e-2)
+    assert nodes is not None
+    rank = rng.permutation(len(hinges))
+    found = nearest_earlier(0, len(hinges), hinges, rank, nodes, 5)
+    spacing = np.array(spacings)[of]
+    fewer = 0
+    for own in range(0, len(hinges), 1 + len(hinges) // 300):
+        # Those at the node nearest to it, or beside that, on the other's lattice.
+        steps = np.rint(hinges / spacing[:, None]) - np.rint(hinges[own] / spacing[:, None])
+        there = (np.abs(steps) <= 1).all(1) & (rank < rank[own])
+        wanted = np.sort(np.linalg.norm(hinges[there] - hinges[own], axis=1))[:5]
+        near = [other for other in found[own] if other != own]
+        assert there[near].all()
+        assert len(set(near)) == len(near) == len(wanted)
+        np.testing.assert_allclose(np.linalg.norm(hinges[near] - hinges[own], axis=1), wanted, atol=1e-6)
+        fewer += len(near) < 5
+    assert 0 < fewer < 150  # of up to 300
+
+
 @pytest.mark.parametrize("case", ["scattered", "many scattered", "twice in one place", "a width each"])
 def test_hinge_points_on_no_lattice_are_searched_for(case):
     from mapping.hinge_cells import hinge_cells

@@ -96,17 +96,19 @@ class _Drawn:
 
     @classmethod
     def of(cls, scope: Scope) -> _Drawn:
-        def in_turn(kinds: Sequence[Callable[[Scope], Any]]) -> list[Any]:
-            return [kind(scope) for kind in kinds]
+        def under(scope: Scope) -> tuple[np.ndarray, np.ndarray]:
+            if scope.supported:
+                return below_support(scope), feet(scope)
+            below, foot = np.empty((2, 0, 3), np.float32)
+            return below, foot
 
-        below, foot = np.empty((2, 0, 3), np.float32)
-        kinds = [[open_space], [below_support, feet] if scope.supported else [], [surface_samples]]
+        kinds: tuple[Callable[[Scope], Any], ...] = open_space, under, surface_samples
         # What a generator draws depends on what it drew before.
-        by_place = isinstance(scope.draws, SteadyDraws)
-        around, under, surface = (map_in_threads if by_place else map)(in_turn, kinds)
-        if scope.supported:
-            below, foot = under
-        return cls(scope, around[0], below, foot, surface[0])
+        if isinstance(scope.draws, SteadyDraws):
+            around, (below, foot), surface = map_in_threads(lambda kind: kind(scope), kinds)
+        else:
+            around, (below, foot), surface = (kind(scope) for kind in kinds)
+        return cls(scope, around, below, foot, surface)
 
     @property
     def asked(self) -> np.ndarray:

@@ -171,7 +171,8 @@ def evaluate_field(
             of_one = odds[present.index(k), ..., :height]
             if ramps:
                 np.minimum(of_one, ramps[k][z], out=of_one)
-            part = tuple(slice(*pair) for pair in zip(ends_of_one[:3], ends_of_one[3:]))
+            a, b, c, d, e, f = ends_of_one
+            part = slice(a, d), slice(b, e), slice(c, f)
             log_odds[k][within(part, windows[k])] = of_one[within(part, (x, y, z))]
 
     map_in_threads(fill, range(len(blocks)))
