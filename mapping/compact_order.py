@@ -8,36 +8,49 @@ from __future__ import annotations
 import numpy as np
 
 from mapping.compiled import compiled
+from mapping.threads import map_in_threads
+
+SHARED_FROM = 10_000
+"""Points from which on two threads share them."""
 
 
 def compact_order(X: np.ndarray, together: int) -> np.ndarray:
     """Indices (N,) int64 of points (N, d), halved again and again along their longest side, down to groups of
     `together` that begin at multiples of it. The same points in the same order give the same."""
-    return _halved(np.array(X, np.float32, order="C"), together)
+    X, order = np.array(X, np.float32, order="C"), np.arange(len(X))
+    parts = [(0, len(X))]
+    if len(X) >= SHARED_FROM:
+        half = _halve(X, order, 0, len(X), together)
+        parts = [(0, half), (half, len(X))]
+    map_in_threads(lambda part: _order(X, order, *part, together), parts)
+    return order
 
 
 @compiled
-def _halved(X: np.ndarray, together: int) -> np.ndarray:
-    """The same; X is put in order as well."""
-    order = np.arange(len(X))
-    waiting = [(0, len(X))]
+def _order(X: np.ndarray, order: np.ndarray, first: int, last: int, together: int) -> None:
+    """Put a part of order (N,), and of the points X with it, in such an order."""
+    waiting = [(first, last)]
     while waiting:
         first, last = waiting.pop()
-        count = last - first
-        if count <= together:
-            continue
-        axis, longest = 0, np.float32(-1)
-        for a in range(X.shape[1]):
-            low = high = X[first, a]
-            for i in range(first + 1, last):
-                low, high = min(low, X[i, a]), max(high, X[i, a])
-            if high - low > longest:
-                axis, longest = a, high - low
-        half = first + (count // 2 + together - 1) // together * together
-        _select(X, order, axis, first, last - 1, half)
-        waiting.append((first, half))
-        waiting.append((half, last))
-    return order
+        if last - first > together:
+            half = _halve(X, order, first, last, together)
+            waiting.append((first, half))
+            waiting.append((half, last))
+
+
+@compiled
+def _halve(X: np.ndarray, order: np.ndarray, first: int, last: int, together: int) -> int:
+    """Put two halves of a part apart along its longest side; where the second one begins."""
+    axis, longest = 0, np.float32(-1)
+    for a in range(X.shape[1]):
+        low = high = X[first, a]
+        for i in range(first + 1, last):
+            low, high = min(low, X[i, a]), max(high, X[i, a])
+        if high - low > longest:
+            axis, longest = a, high - low
+    half = first + ((last - first) // 2 + together - 1) // together * together
+    _select(X, order, axis, first, last - 1, half)
+    return half
 
 
 @compiled

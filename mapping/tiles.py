@@ -76,12 +76,14 @@ def tiles_of(ends: np.ndarray, columns: np.ndarray, values: np.ndarray, width: i
     return Tiles(starts, shared, entries)
 
 
+@compiled
 def tiled(rows: np.ndarray) -> np.ndarray:
-    """Rows (N, C) as tiles (T, C, 8), the last one filled with 0."""
-    count = -(-len(rows) // LANES)
-    out = np.zeros((count * LANES, rows.shape[1]), np.float32)
-    out[: len(rows)] = rows
-    return np.ascontiguousarray(out.reshape(count, LANES, -1).transpose(0, 2, 1))
+    """Rows (N, C) float32 as tiles (T, C, 8), the last one filled with 0."""
+    out = np.zeros(((len(rows) + LANES - 1) // LANES, rows.shape[1], LANES), np.float32)
+    for i in range(len(rows)):
+        for c in range(rows.shape[1]):
+            out[i // LANES, c, i % LANES] = rows[i, c]
+    return out
 
 
 def flat(W: np.ndarray) -> np.ndarray:

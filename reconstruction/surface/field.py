@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from mapping.compiled import compiled
 from mapping.contramap import ContraMap
 from mapping.lanes import LANES, every, exponential, larger, load, logarithm, minus, over, plus, store
 from mapping.threads import map_in_threads
+from reconstruction.surface.neighbours import beside
 
 BLOCK = 24
 """Nodes a side of the blocks that are evaluated at a time, as far as objects can reach into them: a multiple
@@ -232,7 +232,7 @@ def _odds(lines: np.ndarray, present: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _likely(odds: np.ndarray) -> np.ndarray:
     """Where coarse log odds (K, nx, ny, nz) do not rule each object out (K, nx, ny, nz)."""
-    return np.asarray(ndimage.maximum_filter(odds, size=(1, 3, 3, 3)) > SKIP_LOG_ODDS)
+    return np.stack(map_in_threads(beside, odds > SKIP_LOG_ODDS))
 
 
 def _fine(coarse: Window | None) -> Window:
