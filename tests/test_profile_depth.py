@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from reconstruction.surface.profile_depth import CELL, UNKNOWN, depth_table, is_vessel
+from reconstruction.surface.profile_depth import CELL, EMPTY, UNKNOWN, depth_table, is_vessel, no_steeper
 from reconstruction.surface.unseen_cavity import DEEP, Cavity, cavity, fill, hollow_out
 
 ROWS, COLUMNS, LOW = 48, 60, -0.02
@@ -136,3 +136,17 @@ def test_the_bottom_of_a_cavity_that_nobody_saw_is_closed() -> None:
     table = depth_table(*turned(cone), LOW, rays_passed(0.066))
     hollow_out(table, LOW, Cavity(upper=False, bottom=0.06))
     assert table[cell(0.0, 0.058)] == DEEP > 0 > table[cell(0.0, 0.05)]
+
+
+def test_empty_space_becomes_emptier_with_the_distance() -> None:
+    table = np.full((12, 5), EMPTY, np.float32)
+    table[:4], table[4] = 0.003, UNKNOWN
+    before = table.copy()
+    no_steeper(table)
+    np.testing.assert_array_equal(table[:5], before[:5])
+    np.testing.assert_allclose(
+        table[5, 2], 0.001 - 2 * CELL, atol=1e-6
+    )  # from the cells before the unknown one
+    assert (np.diff(table[5:, 2]) <= 0).all()
+    assert (table[5:] < 0).all()
+    assert table[-1, 2] == EMPTY

@@ -120,7 +120,7 @@ def test_round_things_are_told_from_cartons(name: str) -> None:
 
 
 def ring(edges: RevolvedEdges, radius: float, angle: np.ndarray) -> np.ndarray:
-    x, y = edges.axis[:, None] + radius * np.stack([np.cos(angle), np.sin(angle)])
+    x, y = edges.body.axis[:, None] + radius * np.stack([np.cos(angle), np.sin(angle)])
     return np.stack([x, y, np.full_like(x, 0.06)], 1).astype(np.float32)
 
 
@@ -129,24 +129,24 @@ def test_the_hidden_side_of_a_can_lies_where_its_circle_does() -> None:
     assert edges is not None
     angle = np.linspace(0, 2 * np.pi, 90, endpoint=False)
     for offset in (-0.003, -0.0015, 0.002):
-        depth = edges.depth_of(ring(edges, 0.04 + offset, angle))
+        depth = edges.body.depth(ring(edges, 0.04 + offset, angle))
         np.testing.assert_allclose(depth, -offset, atol=0.001)
-    assert (edges.depth_of(ring(edges, 0.052, angle)) < 0).all()
+    assert (edges.body.depth(ring(edges, 0.052, angle)) < 0).all()
     assert edges.full  # nothing of an inner wall is seen
-    assert edges.depth_of(np.float32([[*edges.axis, 0.06]]))[0] == DEEP
+    assert edges.body.depth(np.float32([[*edges.body.axis, 0.06]]))[0] == DEEP
 
 
 def test_the_underside_of_a_lying_can_is_known() -> None:
     edges = revolved("lying can")
     assert edges is not None
-    assert abs(edges.turn[2] @ [np.cos(0.5), np.sin(0.5), 0]) > np.cos(np.deg2rad(3))
+    assert abs(edges.body.turn[2] @ [np.cos(0.5), np.sin(0.5), 0]) > np.cos(np.deg2rad(3))
     angle, along = np.meshgrid(np.linspace(0, 2 * np.pi, 60, endpoint=False), np.linspace(-0.04, 0.04, 9))
     local = np.stack([along, 0.035 * np.cos(angle), 0.035 * np.sin(angle)], -1).reshape(-1, 3)
     turn = np.array([[np.cos(0.5), -np.sin(0.5), 0], [np.sin(0.5), np.cos(0.5), 0], [0, 0, 1]])
     table = make_tabletop((LYING,))
     T = observe(table.frame).T_table_camera @ np.linalg.inv(table.frame.camera.T_world_camera)
     points = ((local @ turn.T + LYING.position) @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
-    assert np.quantile(np.abs(edges.depth_of(points)), 0.9) < 0.002
+    assert np.quantile(np.abs(edges.body.depth(points)), 0.9) < 0.002
     known = edges.depth_known(points + np.float32([0, 0, -0.004]))
     assert (known[points[:, 2] < 0.005] < 0).all()  # under the can nothing is of it
 
@@ -161,6 +161,24 @@ def test_what_was_measured_is_read_as_it_was() -> None:
     np.testing.assert_array_equal(measured.depth, said.depth)
 
 
+def test_a_hidden_side_rises_and_falls_with_the_distance_to_it() -> None:
+    edges = revolved("can")
+    assert edges is not None
+    hidden = ring(edges, 0.04, np.linspace(0, 2 * np.pi, 720, endpoint=False))
+    reading = edges.edges.read(hidden)
+    hidden = hidden[(reading.distance > 0.01) & (reading.depth > 0.01)]
+    assert len(hidden) > 100
+    outward = (hidden[:, :2] - edges.body.axis) / 0.04
+    for off in (-0.002, 0.001, 0.002):
+        moved = hidden.copy()
+        moved[:, :2] += np.float32(off) * outward
+        reading = edges.read(moved)
+        # The cap on log odds, and what they are raised to: both say the same.
+        np.testing.assert_allclose(reading.distance, -off, atol=0.001)
+        if off > 0:
+            np.testing.assert_allclose(edges.wall - reading.depth, -off, atol=0.001)
+
+
 def test_what_lies_close_behind_a_handle_stays() -> None:
     shape = Shape("box", (0.03, 0.02, 0.06), (0.03, 0.02 + 0.05, 0.06))
     frame = make_tabletop((CAN, shape)).frame
@@ -172,9 +190,9 @@ def test_what_lies_close_behind_a_handle_stays() -> None:
     both = round_body(edges, item.points)
     assert both is not None
     of_handle = item.points[handle.reshape(-1)[item.pixels]].astype(np.float32)
-    of_handle = of_handle[np.hypot(*(of_handle[:, :2] - both.axis).T) > 0.052]
+    of_handle = of_handle[np.hypot(*(of_handle[:, :2] - both.body.axis).T) > 0.052]
     assert len(of_handle) > 50
     behind = edges.behind(of_handle, 0.008)
-    assert (both.depth_of(behind) < 0).mean() > 0.5  # turned, it would be empty there
+    assert (both.body.depth(behind) < 0).mean() > 0.5  # turned, it would be empty there
     np.testing.assert_array_equal(both.read(behind).distance, edges.read(behind).distance)
     np.testing.assert_array_equal(both.read(behind).depth, edges.read(behind).depth)

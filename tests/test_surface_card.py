@@ -10,7 +10,7 @@ from perception.camera import Camera
 from reconstruction.solid import Solid
 from reconstruction.surface.agreement import Agreement, agreement_with_depth, depth_of_mesh
 from tools.evaluation.handles import handles_and_parts, true_handles
-from tools.evaluation.surface_card import normal_error, wall_excess
+from tools.evaluation.surface_card import excess_across, normal_error, wall_excess
 
 CAMERA = Camera(np.array([[200.0, 0, 80], [0, 200.0, 60], [0, 0, 1]]), 160, 120)
 
@@ -97,6 +97,18 @@ def test_walls_are_measured_along_rays() -> None:
     assert found["wall_share"] == 1
     solid = trimesh.creation.box((0.2, 0.2, 0.1))
     assert wall_excess(Solid(thin), Solid(solid), seen, np.array([0, 0, 1.0]), rng)["wall_excess_mm"] is None
+
+
+def test_walls_across_are_not_longer_where_rays_graze_them() -> None:
+    rng = np.random.default_rng(0)
+    thin, thick = trimesh.creation.box((0.2, 0.2, 0.004)), trimesh.creation.box((0.2, 0.2, 0.008))
+    thick.apply_translation([0, 0, -0.002])
+    seen = np.column_stack([rng.uniform(-0.05, 0.05, (500, 2)), np.full(500, 0.002)])
+    slanted = wall_excess(Solid(thick), Solid(thin), seen, np.array([3.0, 0, 2.0]), rng)["wall_excess_mm"]
+    assert slanted is not None
+    assert slanted > 6
+    assert excess_across(Solid(thick), Solid(thin), seen, rng) == pytest.approx(4, abs=0.1)
+    assert excess_across(Solid(thin), Solid(trimesh.creation.box((0.2, 0.2, 0.1))), seen, rng) is None
 
 
 @pytest.mark.parametrize(("hole", "handles"), [(0.0008, 0), (0.012, 1)])

@@ -77,8 +77,9 @@ class BoxedEdges:
         known = np.isfinite(deep)
         rows, deep = rows[known], deep[known]
         reading.distance[rows] = np.minimum(reading.distance[rows], deep)
-        # Within, everything is the object's, as right behind what was measured.
-        reading.depth[rows] = np.where(deep >= 0, 0, reading.depth[rows])
+        # Within, everything is the object's, as right behind what was measured; outside, the map has no say
+        # either, or the faces would step from node to node of the lattice.
+        reading.depth[rows] = np.where(deep >= 0, 0, np.minimum(reading.depth[rows], self.wall - deep))
         return reading
 
     def depth_known(self, points: np.ndarray) -> np.ndarray:

@@ -29,7 +29,11 @@ def box_of(pixels: np.ndarray, width: int) -> tuple[slice, slice]:
 
 
 def edge_pixels(own: np.ndarray, depth: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (h, w) bool on the near side of an edge of an object's image own (h, w), and on its far side."""
+    """Pixels (h, w) bool on the near side of an edge of an object's image own (h, w), and on its far side.
+
+    What was not measured is on the near side, too, where something else was measured beside it: nobody knows
+    whether rays passed there.
+    """
     depth = np.ascontiguousarray(depth, np.float32)
     return _edge_pixels(own, depth, depth_jump(depth, camera, USUAL))
 
@@ -46,6 +50,10 @@ def _edge_pixels(own: np.ndarray, depth: np.ndarray, jump: np.ndarray) -> tuple[
                         limit = jump[i, j] if own[row, column] else np.float32(SAME_DEPTH)
                         if depth[row, column] - depth[i, j] > limit:
                             near[i, j] = far[row, column] = True
+            elif np.isnan(depth[i, j]):
+                for row in range(max(i - 1, 0), min(i + 2, height)):
+                    for column in range(max(j - 1, 0), min(j + 2, width)):
+                        near[i, j] |= not own[row, column] and not np.isnan(depth[row, column])
     return near, far
 
 

@@ -28,6 +28,9 @@ THINNEST = 0.0045
 """A wall of which both sides are known is at least so thick [m]: less falls between a lattice's nodes."""
 SLIT = 3
 """Gaps of fewer cells in the table are closed."""
+SLOPE, RAMP = 0.001, 3
+"""Beside what is the body's [m] empty space is no emptier than it is far, within so many cells: a lattice
+makes steps of a steeper slope."""
 ALIKE, ALIKE_SHARE, AMONG = 0.7, 0.1, 2
 """Of the points within so many cells at least this share has a normal within the angle of this cosine, or a
 point's own is wrong: at outlines, planes reach round edges."""
@@ -68,12 +71,35 @@ def depth_table(profile: np.ndarray, inwards: np.ndarray, low: float, empty: np.
     return ndimage.grey_closing(depth, SLIT)
 
 
+def no_steeper(depth: np.ndarray) -> None:
+    """Let what is empty (R, Z) [m] beside the body become emptier as distance grows, in place."""
+    depth[:] = _no_steeper(depth)
+
+
 def is_vessel(inwards: np.ndarray) -> bool:
     """Whether normals (M, 2) of a profile, into the body, show it to be hollow: its inner walls are seen.
 
     Seen from outside alone, a ball and a bowl upside down are alike; there are more of the first.
     """
     return bool((inwards[:, 0] > STEEP).mean() > INNER_SHARE)
+
+
+@compiled
+def _no_steeper(depth: np.ndarray) -> np.ndarray:
+    rows, columns = depth.shape
+    graded = depth.copy()
+    for r in range(rows):
+        for c in range(columns):
+            if depth[r, c] < 0 or depth[r, c] >= UNKNOWN:
+                continue
+            near = min(depth[r, c], np.float32(SLOPE))
+            for i in range(max(r - RAMP, 0), min(r + RAMP + 1, rows)):
+                for j in range(max(c - RAMP, 0), min(c + RAMP + 1, columns)):
+                    if graded[i, j] < 0:
+                        away = np.float32(CELL * np.sqrt((i - r) ** 2 + (j - c) ** 2))
+                        # Empty stays empty.
+                        graded[i, j] = max(graded[i, j], min(near - away, np.float32(-1e-4)))
+    return graded
 
 
 @compiled

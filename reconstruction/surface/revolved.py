@@ -17,12 +17,21 @@ from typing import ClassVar
 
 import numpy as np
 
-from mapping.compiled import compiled
-from reconstruction.surface.joint_surface import JointEdges
-from reconstruction.surface.profile_depth import CELL, NEAR, UNKNOWN, depth_table, is_vessel
+from reconstruction.surface.joint_surface import JointEdges, normals_of
+from reconstruction.surface.profile_depth import (
+    CELL,
+    EMPTY,
+    NEAR,
+    THINNEST,
+    depth_table,
+    is_vessel,
+    no_steeper,
+)
 from reconstruction.surface.reading import Reading
+from reconstruction.surface.round_body import RoundBody
 from reconstruction.surface.seen_surface import Edges
 from reconstruction.surface.slanted_axis import slanted_axis
+from reconstruction.surface.thin_walls import thin_walls
 from reconstruction.surface.unseen_cavity import cavity, fill, hollow_out
 from reconstruction.surface.vertical_axis import vertical_axis
 
@@ -41,9 +50,12 @@ COARSE = 3
 """Rays are asked at one cell in so many along radius and height."""
 BEYOND = 0.015
 """The half plane reaches this far beyond the measured points [m]."""
-_PER_CELL, _HALF = np.float32(1 / CELL), np.float32(0.5)
 HANDLE = 0.015
 """What is seen off the circles may be this thick [m]."""
+MEASURED = 0.0005
+"""What lies no farther behind what was measured [m] is read as it was."""
+STEEP = 0.05
+"""Rays that meet a plane at a smaller sine do not tell where."""
 
 Read = Callable[[np.ndarray], Reading]
 """read(places (..., 3) float32, turned [m]): what was measured says of them."""
@@ -53,20 +65,14 @@ Read = Callable[[np.ndarray], Reading]
 class RevolvedEdges:
     """The edges of a body of revolution: they say more of what is hidden.
 
-    edges: what was measured; turn: (3, 3) float32, rotates points so that the axis is upright; axis: (2,)
-    where it then stands [m]; height: of the table's first row [m];
-    depth: (R, Z) float32, how far places at each radius and height lie behind the surface [m], negative where
-    it is empty, UNKNOWN or so where nothing is known; circles: (M, 3) points of the surface all round; wall:
-    what is measured is at least so thick [m]; full: its unknown inside is taken for more of it.
+    edges: what was measured; body: what it is measured of; circles: (M, 3) points of its surface all round;
+    wall: what is measured is at least so thick [m]; full: its unknown inside is taken for more of it.
     """
 
     never_hollow: ClassVar[bool] = False
     """Many round things are hollow."""
     edges: Edges | JointEdges
-    turn: np.ndarray
-    axis: np.ndarray
-    height: float
-    depth: np.ndarray
+    body: RoundBody
     circles: np.ndarray
     wall: float
     full: bool = False
@@ -123,42 +129,63 @@ class RevolvedEdges:
         )
         empty = _empty(read, axis, low, shape.astype(int))
         depth = depth_table(profile, inwards, low, empty)
+        if np.array_equal(turn, np.eye(3)):  # below the floor there is nothing
+            rise = edges.above_floor(low + CELL * np.arange(depth.shape[1], dtype=np.float32))
+            np.minimum(depth, np.maximum(rise, EMPTY), out=depth, where=rise < 0)
+        hollow = cavity(profile, inwards, low, empty)
         from_outside = not is_vessel(inwards)
-        hollow = cavity(profile, inwards, low, empty) if from_outside else None
-        if hollow is not None:
-            hollow_out(depth, low, hollow)
-        elif from_outside:
-            fill(depth)
+        if from_outside:
+            hollow_out(depth, low, hollow) if hollow else fill(depth)
+        else:
+            seen = thin_walls(depth)
+            if hollow and seen and seen.shallow and seen.upper != hollow.upper:
+                hollow_out(depth, low, hollow)
+        no_steeper(depth)
         full = from_outside and hollow is None
-        return cls(edges, turn, axis, low, depth, turned[whole].reshape(-1, 3) @ turn, wall, full)
+        return cls(edges, RoundBody(turn, axis, low, depth), turned[whole].reshape(-1, 3) @ turn, wall, full)
 
     def read(self, points: np.ndarray) -> Reading:
         """What the depth image says of points (N, 3) float32 [m], or the circles where it says nothing."""
         reading = self.edges.read(points)
         hidden = (reading.distance > 0) & (reading.depth > self.wall) & (reading.others > self.wall)
         rows = np.flatnonzero(hidden)
-        depth = self.depth_of(points[rows])
+        depth = self.body.depth(points[rows])
         known = depth < NEAR
         rows, depth = rows[known], depth[known]
         behind = reading.depth[rows]
         # What lies close behind a handle is the handle.
         close = np.flatnonzero((depth < 0) & (behind < HANDLE))
         if len(close):
-            near = rows[close]
-            surface = self._shown(points[near], behind[close])
-            off = close[np.abs(self.depth_of(surface)) > NEAR]
+            near = points[rows[close]]
+            shown = self._shown(near, behind[close], normals_of(self.edges, near))
+            off = close[np.abs(self.body.depth(shown)) > NEAR]
             keep = np.ones(len(rows), bool)
             keep[off] = False
             rows, depth, behind = rows[keep], depth[keep], behind[keep]
         reading.distance[rows] = np.minimum(reading.distance[rows], depth)
         within = np.float32(0) if self.full else np.minimum(behind, depth)
-        reading.depth[rows] = np.where(depth >= 0, within, behind)
+        # Outside, the map has no say either: the surface would step from node to node of the lattice.
+        reading.depth[rows] = np.where(depth >= 0, within, np.minimum(behind, self.wall - depth))
+        self._read_behind_seen(points, reading)
         return reading
+
+    def _read_behind_seen(self, points: np.ndarray, reading: Reading) -> None:
+        """The same for points right behind what was measured: a wall ends as smoothly as it goes on."""
+        if self.full:
+            return
+        behind = (reading.depth > MEASURED) & (reading.depth <= self.wall)
+        rows = np.flatnonzero(behind & (reading.distance > 0) & (reading.others > self.wall))
+        # Less than the thinnest wall, and it would have holes where it does not lie as its circles do.
+        deep = np.maximum(self.body.depth(points[rows]), np.float32(THINNEST) - reading.depth[rows])
+        ending = deep < reading.distance[rows]
+        rows, deep = rows[ending], deep[ending]
+        reading.distance[rows] = deep
+        reading.depth[rows] = self.wall - deep
 
     def depth_known(self, points: np.ndarray) -> np.ndarray:
         """How deep points (N, 3) lie in the body (N,) float32 [m], negative outside; NaN where that is not
         known, and close behind what is seen before the body: a handle."""
-        depth = self.depth_of(points)
+        depth = self.body.depth(points)
         depth[depth >= NEAR] = np.nan
         beyond = np.flatnonzero(depth < 0)
         handle = self.edges.read(points[beyond]).depth < HANDLE
@@ -174,19 +201,16 @@ class RevolvedEdges:
         """How far heights (N,) are above the floor [m], FAR where none is known."""
         return self.edges.above_floor(height)
 
-    def depth_of(self, points: np.ndarray) -> np.ndarray:
-        """How deep points (N, 3) lie in the body (N,) float32 [m], as in the table."""
-        points = np.ascontiguousarray(points, np.float32)
-        axis = np.asarray(self.axis, np.float32)
-        return _in_table(points, self.turn, axis, np.float32(self.height), self.depth)
-
-    def _shown(self, points: np.ndarray, behind: np.ndarray) -> np.ndarray:
-        """Where the surface is that points (N, 3) lie `behind` (N,) [m], seen from the first camera."""
+    def _shown(self, points: np.ndarray, below: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """Where the rays to points (N, 3) meet the planes that they are so far `below` (N,) [m], with normals
+        (N, 3) into the object; seen from the first camera, or right before the points on planes that it does
+        not see."""
         views = self.edges.views if isinstance(self.edges, JointEdges) else (self.edges,)
         T = views[0].seen.T_camera_table
         rays = points - (-T[:3, :3].T @ T[:3, 3]).astype(np.float32)
         rays /= np.sqrt((rays**2).sum(1, keepdims=True))
-        return points - rays * behind[:, None]
+        steep = (rays * normals).sum(1, keepdims=True)
+        return points - np.where(steep > STEEP, rays / np.maximum(steep, STEEP), normals) * below[:, None]
 
 
 def _around(axis: np.ndarray, radius: np.ndarray, height: np.ndarray) -> np.ndarray:
@@ -211,33 +235,3 @@ def _empty(read: Read, axis: np.ndarray, low: float, shape: np.ndarray) -> np.nd
     places = np.stack(np.meshgrid(radius, low + height, indexing="ij"), -1).reshape(-1, 2)
     passed = _passed(read, _around(axis, *places.T), places[:, 0]) > PASSED_SHARE
     return passed.reshape(shape).repeat(COARSE, 0).repeat(COARSE, 1)
-
-
-@compiled
-def _in_table(
-    points: np.ndarray, turn: np.ndarray, axis: np.ndarray, height: float, table: np.ndarray
-) -> np.ndarray:
-    """The table (R, Z) of `RevolvedEdges` between its cells at points (N, 3), beyond it UNKNOWN; float32."""
-    rows, columns = table.shape
-    found = np.empty(len(points), np.float32)
-    for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        across = turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z - axis[0]
-        aside = turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z - axis[1]
-        up = (turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z - height) * _PER_CELL
-        out = np.sqrt(across * across + aside * aside) * _PER_CELL
-        if up < 0 or out > rows - 1 or up > columns - 1:
-            found[i] = UNKNOWN
-            continue
-        r, c = min(int(out), rows - 2), min(int(up), columns - 2)
-        dr, dc = out - np.float32(r), up - np.float32(c)
-        total = sums = np.float32(0)
-        for j in range(2):
-            for k in range(2):
-                weight = (dr if j else 1 - dr) * (dc if k else 1 - dc)
-                if table[r + j, c + k] < UNKNOWN:
-                    total += weight
-                    sums += weight * table[r + j, c + k]
-        # Between what is known and what is not, nothing is between their numbers.
-        found[i] = sums / total if total > _HALF else UNKNOWN
-    return found

@@ -164,9 +164,10 @@ class Edges:
         planes = np.zeros((len(flat), 4), np.float32)
         pixel = row[1:] * width + column[1:]
         planes[1:] = seen.planes[pixel]
-        # What is no object's has no plane: it is taken to face the camera.
-        T, bare = seen.T_camera_table, np.flatnonzero(planes[:, 3] == 0)[1:]
-        planes[bare, :3], planes[bare, 3] = T[2, :3], seen.depth.reshape(-1)[pixel[bare - 1]] - T[2, 3]
+        # What is no object's has no plane: it is taken to face the camera, where it was measured.
+        T, depth = seen.T_camera_table, seen.depth.reshape(-1)[pixel]
+        bare = 1 + np.flatnonzero((planes[1:, 3] == 0) & np.isfinite(depth))
+        planes[bare, :3], planes[bare, 3] = T[2, :3], depth[bare - 1] - T[2, 3]
         return cls(
             seen, index, top - 1, left - 1, nearest, np.stack([column, row], 1).astype(np.float32), planes
         )

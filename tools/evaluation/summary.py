@@ -32,6 +32,7 @@ OBJECT_METRICS = (
     "vessel_handles_right",
     "parts",
     "wall_excess_mm",
+    "vessel_wall_mm",
     "iou_2_5mm",
 )
 """Metrics of single objects: a scene's value is the mean over its objects that have one."""
@@ -66,6 +67,7 @@ LOWER_IS_BETTER = frozenset(
         "normal_deg",
         "handles",
         "wall_excess_mm",
+        "vessel_wall_mm",
         *TIMES,
     }
 )

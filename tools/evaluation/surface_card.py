@@ -26,11 +26,13 @@ TRUE_SAMPLES = 40_000
 NEIGHBOURS = 5
 """The best of so many nearest true points counts, so that thin walls are not judged by their other side."""
 WALL = 0.015
-"""What is no thicker than this along the ray is a wall [m]."""
+"""What is no thicker than this, along the ray or across, is a wall [m]."""
 WALL_RAYS = 4000
 """Rays that measure an object's walls, at most."""
 BEHIND = 1e-5
 """The second ray of a wall starts so far behind the first hit [m]."""
+BEFORE = 0.005
+"""Rays across a wall start so far before it [m]."""
 FINEST_SPACING = 0.0025
 """Grid of the finest IoU [m]."""
 HALF = 0.5
@@ -62,7 +64,8 @@ def surface_card(
     whole = trimesh.Trimesh(true.mesh.vertices, true.mesh.faces, process=True)
     wanted = true_handles(true)
     right = None if handles is None else float(handles == wanted)
-    shown = is_vessel(true) and outside_seen(true.mesh, seen) >= HALF
+    vessel = is_vessel(true)
+    shown = vessel and outside_seen(true.mesh, seen) >= HALF
     return {
         "normal_deg": normal_error(mesh, true.mesh, seen, rng),
         "handles": handles,
@@ -72,6 +75,7 @@ def surface_card(
         "parts": parts,
         "true_parts": handles_and_parts(whole)[1],
         **wall_excess(predicted, true, seen, origin, rng),
+        "vessel_wall_mm": excess_across(predicted, true, seen, rng) if vessel else None,
     }
 
 
@@ -111,20 +115,40 @@ def wall_excess(
     wall_excess_mm: mean over the rays on which the true object is no thicker than WALL; wall_share: their
     share. None where there are none.
     """
-    targets = seen if len(seen) <= WALL_RAYS else seen[rng.choice(len(seen), WALL_RAYS, replace=False)]
+    targets = _some(seen, rng)
     directions = targets - origin
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    thickness = [_thickness(solid, origin, directions) for solid in (predicted, true)]
-    walls = np.isfinite(thickness[0]) & (thickness[1] <= WALL)
-    share = float(walls.mean())
-    if not walls.any():
-        return {"wall_excess_mm": None, "wall_share": share}
-    return {"wall_excess_mm": 1e3 * float((thickness[0] - thickness[1])[walls].mean()), "wall_share": share}
-
-
-def _thickness(solid: Solid, origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """(N,) how far rays run within a closed solid after they first meet it [m]; infinite where they miss."""
     start = np.broadcast_to(origin, directions.shape)
+    excess, share = _excess(predicted, true, start, directions)
+    return {"wall_excess_mm": excess, "wall_share": share}
+
+
+def excess_across(predicted: Solid, true: Solid, seen: np.ndarray, rng: np.random.Generator) -> float | None:
+    """How much thicker walls are than true [mm], across the true wall at seen points (N, 3): mean over the
+    places where the true one is no thicker than WALL; None where there are none."""
+    surface, normals = surface_with_normals(true.mesh, TRUE_SAMPLES, rng)
+    _, nearest = cKDTree(surface).query(_some(seen, rng))
+    outward = normals[nearest]
+    return _excess(predicted, true, surface[nearest] + BEFORE * outward, -outward)[0]
+
+
+def _some(seen: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    return seen if len(seen) <= WALL_RAYS else seen[rng.choice(len(seen), WALL_RAYS, replace=False)]
+
+
+def _excess(
+    predicted: Solid, true: Solid, start: np.ndarray, directions: np.ndarray
+) -> tuple[float | None, float]:
+    """How much thicker walls are than true on rays [mm], None where there is none; and the rays' share that
+    meets one."""
+    thickness = [_thickness(solid, start, directions) for solid in (predicted, true)]
+    walls = np.isfinite(thickness[0]) & (thickness[1] <= WALL)
+    excess = 1e3 * float((thickness[0] - thickness[1])[walls].mean()) if walls.any() else None
+    return excess, float(walls.mean())
+
+
+def _thickness(solid: Solid, start: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """(N,) how far rays run within a closed solid after they first meet it [m]; infinite where they miss."""
     entry = solid.cast(start, directions)
     hit = np.isfinite(entry)
     thickness = np.full(len(directions), np.inf)

@@ -28,6 +28,7 @@ SURFACE_COLUMNS = {
     "vessel_handles_right": "of vessels half seen",
     "parts": "parts",
     "wall_excess_mm": "walls too thick [mm]",
+    "vessel_wall_mm": "of vessels, across [mm]",
     "iou_2_5mm": "IoU 2.5 mm",
 }
 CARD_COLUMNS = {
@@ -41,7 +42,7 @@ CARD_COLUMNS = {
     "ece": "ECE",
 }
 DIGITS = {"chamfer_mm": 1, "chamfer_5mm": 1, "visible_mm": 1, "hidden_mm": 1, "aurc": 4, "ause": 4, "ece": 4}
-DIGITS |= {"normal_deg": 1, "handles": 2, "parts": 2, "wall_excess_mm": 1}
+DIGITS |= {"normal_deg": 1, "handles": 2, "parts": 2, "wall_excess_mm": 1, "vessel_wall_mm": 1}
 """Digits after the point, 3 for all others."""
 
 

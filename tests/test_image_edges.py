@@ -1,0 +1,53 @@
+"""Edges of an object's image, and what is known of free space beside unmeasured pixels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from conftest import Shape, make_tabletop
+from scipy import ndimage
+
+from perception.observing import observe
+from reconstruction.surface.image_edges import edge_pixels
+from reconstruction.surface.seen_surface import SeenSurface
+
+BALL = Shape("sphere", (0.04,), (0.0, 0.03, 0.04))
+
+
+def test_unmeasured_pixels_end_free_space() -> None:
+    frame = make_tabletop((BALL,)).frame
+    own, depth = np.zeros((40, 40), bool), np.full((40, 40), 0.9, np.float32)
+    own[15:25, 15:25] = True
+    depth[own] = 0.6
+    shadow = ndimage.binary_dilation(own, iterations=3) & ~own
+    near, far = edge_pixels(own, depth, frame.camera)
+    assert near[15, 20]
+    assert far[14, 20]
+    depth[shadow] = np.nan
+    near, far = edge_pixels(own, depth, frame.camera)
+    assert near[12, 20]  # the outermost of them
+    assert not near[14, 20]  # beside what is unmeasured itself
+    assert not near[15:25, 15:25].any()
+    assert not far.any()
+
+
+def test_free_space_is_as_far_as_the_nearest_unmeasured_pixel() -> None:
+    frame = make_tabletop((BALL,)).frame
+    assert frame.labels is not None
+    shadow = ndimage.binary_dilation(frame.labels == 1, iterations=4) & (frame.labels != 1)
+    depth = np.where(shadow, np.nan, frame.depth).astype(np.float32)
+    observation = observe(replace(frame, depth=depth))
+    seen = SeenSurface.of(observation)
+    outside = ndimage.binary_dilation(shadow, iterations=1) & ~shadow & (frame.labels != 1)
+    row, column = np.nonzero(outside & np.isfinite(depth))
+    K, T = frame.camera.K, observation.T_table_camera
+    away = float(np.median(frame.depth[frame.labels == 1]))  # beside the ball, before the table
+    rays = np.stack([(column - K[0, 2]) / K[0, 0], (row - K[1, 2]) / K[1, 1], np.ones(len(row))], 1)
+    points = ((away * rays) @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
+    free = seen.depth[row, column] - away > 0.02
+    distance = seen.edges(0).read(points[free]).distance
+    assert free.sum() > 30
+    assert (distance < 0).all()
+    pixel = away / K[0, 0]
+    assert np.quantile(-distance, 0.9) < 1.5 * pixel
