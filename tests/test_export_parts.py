@@ -7,6 +7,7 @@ import trimesh
 from reconstruction.export import mjcf, urdf
 from reconstruction.export.apart import below, kept_apart, overlap
 from reconstruction.export.balance import ENOUGH, balanced
+from reconstruction.export.carving import carved
 from reconstruction.export.collision import ConvexParts, convex_parts
 from reconstruction.export.contacts import Contacts, contacts_of
 from reconstruction.export.cutting import Cutter, solid_of
@@ -68,7 +69,7 @@ def test_thin_plates_and_a_wedge_that_touch_others_keep_their_shape(gap):
             label: tuple(convex_hull(part.vertices * 1.02) for part in of_one.parts)
             for label, of_one in enumerate(cut)
         }
-        apart = kept_apart(bulging, gap)
+        apart = kept_apart(carved(bulging, dict(enumerate(meshes)), gap) if gap else bulging, gap)
         for label, mesh in enumerate(meshes):
             missing, excess = parts_error(mesh, apart[label])
             assert missing < 0.003
@@ -77,7 +78,34 @@ def test_thin_plates_and_a_wedge_that_touch_others_keep_their_shape(gap):
             assert all(overlap(own, part, gap) is None for own in apart[label] for part in others)
 
 
-@pytest.mark.parametrize(("gap", "distance"), [(mjcf.GAP, 0.0), (urdf.GAP, 0.0014)])
+def test_what_bulges_over_a_notch_with_a_neighbour_in_it_is_carved():
+    """Planes alone would take a layer from all of the notched block, or off the end of what stands in it."""
+    whole, standing = box((0.1, 0.06, 0.03), (0, 0, 0)), box((0.02, 0.06, 0.05), (0, 0, 0.032))
+    notched = whole.difference(box((0.02, 0.07, 0.05), (0, 0, 0.032)))
+    meshes, parts = {1: notched, 2: standing}, {1: (whole,), 2: (standing,)}
+    planes, found = kept_apart(parts, GAP), kept_apart(carved(parts, meshes, GAP), GAP)
+    errors = [[max(parts_error(meshes[k], of_one[k])) for k in meshes] for of_one in (planes, found)]
+    assert max(errors[0]) > 0.0045
+    assert max(errors[1]) < 0.0015
+    assert all(overlap(part, other, GAP) is None for part in found[1] for other in found[2])
+    assert len(found[1]) < 20
+    alone = {1: parts[1], 2: (standing.copy().apply_translation([0.2, 0, 0]),)}
+    apart = carved(alone, {1: notched, 2: alone[2][0]}, GAP)
+    assert apart[1] is alone[1]
+    assert apart[2] is alone[2]
+
+
+def test_a_thin_plate_keeps_its_body_where_it_lies_on_a_thick_one():
+    plate, block = box((0.1, 0.1, 0.0012), (0, 0, 0.0006)), box((0.1, 0.1, 0.05), (0, 0, -0.025))
+    apart = kept_apart({1: (plate,), 2: (block,)}, GAP)
+    assert np.ptp(apart[1][0].vertices[:, 2]) > 0.001
+    assert np.ptp(apart[2][0].vertices[:, 2]) == pytest.approx(0.048, abs=2e-4)
+    apart = carved({1: (plate,), 2: (block,)}, {1: plate, 2: block}, GAP)
+    assert np.ptp(apart[1][0].vertices[:, 2]) > 0.001
+    assert np.ptp(apart[2][0].vertices[:, 2]) == pytest.approx(0.048, abs=2e-4)
+
+
+@pytest.mark.parametrize(("gap", "distance"), [(mjcf.GAP, 0.0), (urdf.GAP, 0.002)])
 def test_boxes_that_touch_are_as_far_apart_as_the_format_needs(gap, distance):
     apart = kept_apart({1: (box((0.1,) * 3, (0, 0, 0)),), 2: (box((0.1,) * 3, (0.1, 0, 0)),)}, gap)
     assert apart[2][0].bounds[0, 0] - apart[1][0].bounds[1, 0] == pytest.approx(distance, abs=1e-6)

@@ -16,6 +16,8 @@ from reconstruction.export.export_object import moved
 from reconstruction.export.hulls import convex_hull
 
 Parts = tuple[trimesh.Trimesh, ...]
+THICK = 0.004
+"""What is at least this thick gives as much as anything else [m]."""
 
 
 def kept_apart(objects: Mapping[int, Parts], gap: float) -> dict[int, Parts]:
@@ -61,9 +63,19 @@ def _separate(first: list, second: list, one: np.ndarray, two: np.ndarray, gap: 
         if plane is None:
             continue
         normal, low, high = plane
-        middle = (low + high) / 2
-        first[i] = below(first[i], normal, middle - gap / 2)
-        second[j] = below(second[j], -normal, -middle - gap / 2)
+        cut = high - low + gap
+        share = share_of_thicker(
+            high - (np.asarray(first[i].vertices) @ normal).min(),
+            (np.asarray(second[j].vertices) @ normal).max() - low,
+        )
+        first[i] = below(first[i], normal, high - share * cut)
+        second[j] = below(second[j], -normal, -low - (1 - share) * cut)
+
+
+def share_of_thicker(one: float, two: float) -> float:
+    """Share of a cut that the first of two things takes, by their thickness [m]: what is thin gives less."""
+    one, two = min(one, THICK), min(two, THICK)
+    return one**2 / (one**2 + two**2)
 
 
 def boxes(parts: Sequence[trimesh.Trimesh]) -> np.ndarray:

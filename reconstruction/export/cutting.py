@@ -61,6 +61,14 @@ class Cutter:
         hulls = (hull_surface(manifold3d.Manifold.hull_points(cloud)) for cloud in points)
         self._parts = [_Part(hull) for hull in hulls if hull is not None]
 
+    @classmethod
+    def of_pieces(cls, pieces: Sequence[Any]) -> Cutter:
+        """Bodies, each a `manifold3d.Manifold`, whose hulls are the first parts."""
+        found = cls(None, [])
+        parts = ((hull_surface(piece.hull()), piece) for piece in pieces)
+        found._parts = [_Part(hull, piece) for hull, piece in parts if hull is not None]
+        return found
+
     @property
     def hulls(self) -> list[Surface]:
         """The parts there are now."""
@@ -81,7 +89,7 @@ class Cutter:
         least hulls; [] where cutting gains nothing."""
         import manifold3d
 
-        if self._body is None:
+        if self._body is None and part.within is None:
             return []
         corners = part.hull[0]
         # A half lies within its whole: only the first cut looks at all of the body.

@@ -19,6 +19,7 @@ from perception.camera import invert_rigid, transform
 from perception.frame import Frame
 from reconstruction.export.apart import kept_apart, meshes_beside
 from reconstruction.export.bodies import Bodies
+from reconstruction.export.carving import carved
 from reconstruction.export.collision import CollisionConfig, ConvexParts, Cutter, convex_parts
 from reconstruction.export.export_object import ExportObject, moved
 from reconstruction.export.footing import with_footing
@@ -154,8 +155,13 @@ class ExportScene:
     def _apart(self, gap: float) -> dict[int, ConvexParts]:
         """The parts, cut where those of two objects are nearer than `gap` [m]. All z axes are parallel: one
         frame for all."""
-        poses, placed = self._poses, self._placed
-        apart, found = kept_apart(placed, gap), dict(self._footed)
+        poses, placed, found = self._poses, self._placed, dict(self._footed)
+        apart = placed
+        if gap > 0 and self.config.inflate is None:  # inflated meshes overlap: both would lose all of that
+            apart = carved(
+                placed, {item.label: moved(item.solid, poses[item.label]) for item in self.objects}, gap
+            )
+        apart = kept_apart(apart, gap)
         for label, kept in apart.items():
             if kept != placed[label]:
                 own = tuple(moved(part, invert_rigid(poses[label])) for part in kept)

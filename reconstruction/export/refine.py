@@ -6,6 +6,7 @@ Knows which parts bulge and where; whoever cuts them knows how.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Protocol
 
 import numpy as np
 import trimesh
@@ -31,9 +32,19 @@ MOST_PARTS = 400
 """Above this many parts none is cut any more: engines get slow."""
 
 
+class Body(Protocol):
+    """What parts are of: a Solid, or what answers as one does."""
+
+    def inside(self, points: np.ndarray) -> np.ndarray:
+        """As Solid.inside."""
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """As Solid.distance."""
+
+
 def refined(
     parts: Sequence[Surface],
-    solid: Solid,
+    solid: Body,
     halve: Callable[[Sequence[int], np.ndarray], list[list[Surface]]],
     limit: float,
     beside: Sequence[Solid] = (),
@@ -63,7 +74,7 @@ def refined(
 
 
 def bulges(
-    parts: Sequence[Surface], solid: Solid, limit: float = np.inf, beside: Sequence[Solid] = ()
+    parts: Sequence[Surface], solid: Body, limit: float = np.inf, beside: Sequence[Solid] = ()
 ) -> list[tuple[float, np.ndarray]]:
     """How far each convex part reaches out of the solid at most [m], and where (3,).
 
@@ -95,7 +106,7 @@ def bulges(
 
 
 def _depths(
-    clouds: Sequence[np.ndarray], solid: Solid, limit: float, beside: Sequence[Solid]
+    clouds: Sequence[np.ndarray], solid: Body, limit: float, beside: Sequence[Solid]
 ) -> list[np.ndarray]:
     """How far the points (N, 3) of each cloud are out of the solid [m], 0 within; as `bulges` says."""
     everything = np.concatenate(clouds)
