@@ -29,7 +29,8 @@ def test_unmeasured_pixels_end_free_space() -> None:
     assert near[12, 20]  # the outermost of them
     assert not near[14, 20]  # beside what is unmeasured itself
     assert not near[15:25, 15:25].any()
-    assert not far.any()
+    assert far[11, 20]  # what was measured beside it
+    assert not far[shadow | own].any()
 
 
 def test_free_space_is_as_far_as_the_nearest_unmeasured_pixel() -> None:
@@ -51,3 +52,10 @@ def test_free_space_is_as_far_as_the_nearest_unmeasured_pixel() -> None:
     assert (distance < 0).all()
     pixel = away / K[0, 0]
     assert np.quantile(-distance, 0.9) < 1.5 * pixel
+    # On its other side the object may be as far as free space is.
+    row, column = np.nonzero(shadow & ndimage.binary_dilation(~shadow & (frame.labels != 1)))
+    rays = np.stack([(column - K[0, 2]) / K[0, 0], (row - K[1, 2]) / K[1, 1], np.ones(len(row))], 1)
+    points = ((away * rays) @ T[:3, :3].T + T[:3, 3]).astype(np.float32)
+    distance = seen.edges(0).read(points[points[:, 2] > 0.02]).distance
+    assert (distance > 0).all()
+    assert np.quantile(distance, 0.9) < 1.5 * pixel

@@ -31,8 +31,8 @@ def box_of(pixels: np.ndarray, width: int) -> tuple[slice, slice]:
 def edge_pixels(own: np.ndarray, depth: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Pixels (h, w) bool on the near side of an edge of an object's image own (h, w), and on its far side.
 
-    What was not measured is on the near side, too, where something else was measured beside it: nobody knows
-    whether rays passed there.
+    What was not measured is on the near side, too, where something else was measured beside it, and that is
+    on the far one: nobody knows whether rays passed in between.
     """
     depth = np.ascontiguousarray(depth, np.float32)
     return _edge_pixels(own, depth, depth_jump(depth, camera, USUAL))
@@ -53,7 +53,8 @@ def _edge_pixels(own: np.ndarray, depth: np.ndarray, jump: np.ndarray) -> tuple[
             elif np.isnan(depth[i, j]):
                 for row in range(max(i - 1, 0), min(i + 2, height)):
                     for column in range(max(j - 1, 0), min(j + 2, width)):
-                        near[i, j] |= not own[row, column] and not np.isnan(depth[row, column])
+                        if not own[row, column] and not np.isnan(depth[row, column]):
+                            near[i, j] = far[row, column] = True
     return near, far
 
 

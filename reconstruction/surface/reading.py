@@ -171,7 +171,7 @@ def read_into(
         distance = _FAR
         if free:
             distance = max(behind, -lateral)
-        elif owner == own:
+        elif owner in (own, NOT_MEASURED):
             distance = min(behind, lateral)
         distances[i] = min(distance, z - floor)
         below_own[i] = behind if owner == own and not free else _FAR
