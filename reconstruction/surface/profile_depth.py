@@ -71,11 +71,6 @@ def depth_table(profile: np.ndarray, inwards: np.ndarray, low: float, empty: np.
     return ndimage.grey_closing(depth, SLIT)
 
 
-def no_steeper(depth: np.ndarray) -> None:
-    """Let what is empty (R, Z) [m] beside the body become emptier as distance grows, in place."""
-    depth[:] = _no_steeper(depth)
-
-
 def is_vessel(inwards: np.ndarray) -> bool:
     """Whether normals (M, 2) of a profile, into the body, show it to be hollow: its inner walls are seen.
 
@@ -85,9 +80,9 @@ def is_vessel(inwards: np.ndarray) -> bool:
 
 
 @compiled
-def _no_steeper(depth: np.ndarray) -> np.ndarray:
+def no_steeper(depth: np.ndarray) -> None:
+    """Let what is empty (R, Z) [m] beside the body become emptier as distance grows, in place."""
     rows, columns = depth.shape
-    graded = depth.copy()
     for r in range(rows):
         for c in range(columns):
             if depth[r, c] < 0 or depth[r, c] >= UNKNOWN:
@@ -95,11 +90,10 @@ def _no_steeper(depth: np.ndarray) -> np.ndarray:
             near = min(depth[r, c], np.float32(SLOPE))
             for i in range(max(r - RAMP, 0), min(r + RAMP + 1, rows)):
                 for j in range(max(c - RAMP, 0), min(c + RAMP + 1, columns)):
-                    if graded[i, j] < 0:
+                    if depth[i, j] < 0:
                         away = np.float32(CELL * np.sqrt((i - r) ** 2 + (j - c) ** 2))
                         # Empty stays empty.
-                        graded[i, j] = max(graded[i, j], min(near - away, np.float32(-1e-4)))
-    return graded
+                        depth[i, j] = max(depth[i, j], min(near - away, np.float32(-1e-4)))
 
 
 @compiled

@@ -132,14 +132,14 @@ class RevolvedEdges:
         if np.array_equal(turn, np.eye(3)):  # below the floor there is nothing
             rise = edges.above_floor(low + CELL * np.arange(depth.shape[1], dtype=np.float32))
             np.minimum(depth, np.maximum(rise, EMPTY), out=depth, where=rise < 0)
-        hollow = cavity(profile, inwards, low, empty)
         from_outside = not is_vessel(inwards)
-        if from_outside:
-            hollow_out(depth, low, hollow) if hollow else fill(depth)
-        else:
-            seen = thin_walls(depth)
-            if hollow and seen and seen.shallow and seen.upper != hollow.upper:
-                hollow_out(depth, low, hollow)
+        seen = None if from_outside else thin_walls(depth)
+        # The hollow in a foot may be all that is seen of a cup upside down.
+        hollow = cavity(profile, inwards, low, empty) if from_outside or (seen and seen.shallow) else None
+        if hollow is not None and (seen is None or seen.upper != hollow.upper):
+            hollow_out(depth, low, hollow)
+        elif from_outside:
+            fill(depth)
         no_steeper(depth)
         full = from_outside and hollow is None
         return cls(edges, RoundBody(turn, axis, low, depth), turned[whole].reshape(-1, 3) @ turn, wall, full)

@@ -41,13 +41,25 @@ class Opening(NamedTuple):
     shallow: bool
 
 
+class _Sides(NamedTuple):
+    """Of each height: the outermost and the innermost cell of what may be the body's outermost wall, -1 where
+    there is none, the innermost 0 where no cavity was seen; whether the surface is known at either, and how
+    thick the wall then is [m]."""
+
+    outer: np.ndarray
+    inner: np.ndarray
+    outside: np.ndarray
+    inside: np.ndarray
+    thick: np.ndarray
+
+
 def thin_walls(depth: np.ndarray) -> Opening | None:
     """Make walls of a vessel, of which one side is known, thin in its table (R, Z) of depths [m], in place;
     None where the cavity seen has no one opening, or walls are thick: these stay as they are.
 
     What is taken to be empty behind a wall is no deeper than `DEEP`.
     """
-    sides = _Sides(*_outermost_walls(depth))
+    sides = _sides(depth)
     hollow, both = np.flatnonzero(sides.inner > 0), sides.outside & sides.inside
     if len(hollow) == 0:
         return None
@@ -62,26 +74,14 @@ def thin_walls(depth: np.ndarray) -> Opening | None:
         sides = _Sides(*(part[::-1].copy() for part in sides))
     floor, bottom = _floor(table, sides.inner, first, last), _bottom(sides.outside, first)
     wall = np.float32(min(max(thick, THINNEST), NEAR))
-    _thin(table, sides.outer, sides.inner, sides.outside, sides.inside, first, last, floor, bottom, wall)
+    _thin(table, sides, first, last, floor, bottom, wall)
     if down:
         depth[:] = table[:, ::-1]
     return Opening(up, bool(floor >= 0 and last - floor < SHALLOW * (last - bottom)))
 
 
-class _Sides(NamedTuple):
-    """Of each height: the outermost and the innermost cell of what may be the body's outermost wall, -1 where
-    there is none, the innermost 0 where no cavity was seen; whether the surface is known at either, and how
-    thick the wall then is [m]."""
-
-    outer: np.ndarray
-    inner: np.ndarray
-    outside: np.ndarray
-    inside: np.ndarray
-    thick: np.ndarray
-
-
 @compiled
-def _outermost_walls(depth: np.ndarray) -> tuple[np.ndarray, ...]:
+def _sides(depth: np.ndarray) -> _Sides:
     rows, columns = depth.shape
     outer, inner = np.full(columns, -1), np.full(columns, -1)
     outside, inside = np.zeros(columns, np.bool_), np.zeros(columns, np.bool_)
@@ -99,7 +99,7 @@ def _outermost_walls(depth: np.ndarray) -> tuple[np.ndarray, ...]:
                 thick[c] = max(thick[c], 2 * depth[r, c])
                 r -= 1
             inner[c], inside[c] = r + 1, r >= 0 and depth[r + 1, c] < SHALLOWEST
-    return outer, inner, outside, inside, thick
+    return _Sides(outer, inner, outside, inside, thick)
 
 
 @compiled
@@ -135,20 +135,11 @@ def _lowest_empty(line: np.ndarray, last: int) -> int:
 
 @compiled
 def _thin(
-    depth: np.ndarray,
-    outer: np.ndarray,
-    inner: np.ndarray,
-    outside: np.ndarray,
-    inside: np.ndarray,
-    first: int,
-    last: int,
-    floor: int,
-    bottom: int,
-    wall: float,
+    depth: np.ndarray, sides: _Sides, first: int, last: int, floor: int, bottom: int, wall: float
 ) -> None:
     """As `thin_walls`, of a cavity that opens upwards, was seen at the heights first..last, and down to its
-    floor if that is not -1; its outside was seen down to `bottom`;
-    wall: as thick as its walls are [m]."""
+    floor if that is not -1; its outside was seen down to `bottom`. wall: as thick as its walls are [m]."""
+    outer, inner, outside, inside, _ = sides
     rows, columns = depth.shape
     ends = bottom > 0 and depth[0, bottom - 1] < 0
     for c in range(columns):
