@@ -43,7 +43,7 @@ def overlap_mm(one, other) -> float:
 def test_the_border_is_where_both_claims_are_equal() -> None:
     a, b = ball((8, 12, 12), 6), ball((16, 12, 12), 6)
     zero = np.zeros(3, int)
-    one, other = exclusive([a, b], [zero, zero], [False, False])
+    one, other = exclusive([a, b], [zero, zero], [0, 0])
     assert np.count_nonzero((a > 0) & (b > 0)) > 50
     assert (one + other <= 1e-6).all()
     nearer = np.abs(NODES[..., 0] - 8) < np.abs(NODES[..., 0] - 16)
@@ -51,12 +51,12 @@ def test_the_border_is_where_both_claims_are_equal() -> None:
     assert ((one > 0) | (other > 0) == (a > 0) | (b > 0)).all()  # nothing is lost to both
 
 
-def test_what_is_guessed_yields_to_what_follows_from_what_was_seen() -> None:
+def test_an_object_yields_to_those_of_a_higher_rank() -> None:
     a, b = ball((8, 12, 12), 6), ball((16, 12, 12), 6)
     zero = np.zeros(3, int)
-    for known in ((True, False), (False, True)):
-        found = exclusive([a, b], [zero, zero], known)
-        sure, unsure = (0, 1) if known[0] else (1, 0)
+    for ranks in ((1, 0), (0, 1), (1, 2)):
+        found = exclusive([a, b], [zero, zero], ranks)
+        sure, unsure = (0, 1) if ranks[0] > ranks[1] else (1, 0)
         np.testing.assert_allclose(found[sure], (a, b)[sure], atol=0.0101)
         assert (found[unsure] <= np.maximum(-found[sure], (a, b)[unsure])).all()
         assert (found[unsure][found[sure] > 0] < 0).all()
@@ -66,7 +66,7 @@ def test_lattices_lie_where_their_first_nodes_are() -> None:
     whole = ball((12, 12, 12), 6)
     first = np.array([5, 6, 7])
     part = ball((16, 12, 12), 6)[5:, 6:, 7:].copy()
-    one, other = exclusive([whole, part], [np.zeros(3, int), first], [False, False])
+    one, other = exclusive([whole, part], [np.zeros(3, int), first], [0, 0])
     assert (one[5:, 6:, 7:] + other <= 1e-6).all()
     assert np.count_nonzero(other > 0) < np.count_nonzero(part > 0)
 
@@ -74,16 +74,16 @@ def test_lattices_lie_where_their_first_nodes_are() -> None:
 def test_objects_apart_are_left_as_they_are() -> None:
     a, b = ball((5, 12, 12), 4), ball((18, 12, 12), 4)
     zero = np.zeros(3, int)
-    one, other = exclusive([a, b], [zero, zero], [False, False])
+    one, other = exclusive([a, b], [zero, zero], [0, 0])
     assert one is a
     assert other is b
     far = np.array([100, 0, 0])
-    assert exclusive([a, a], [zero, far], [True, False])[1] is a
+    assert exclusive([a, a], [zero, far], [1, 0])[1] is a
 
 
 def test_of_three_no_two_keep_one_place() -> None:
     claims = [ball((9, 12, 12), 6), ball((15, 12, 12), 6), ball((12, 16, 12), 6)]
-    found = exclusive(claims, [np.zeros(3, int)] * 3, [False, True, False])
+    found = exclusive(claims, [np.zeros(3, int)] * 3, [0, 2, 1])
     for one, other in combinations(found, 2):
         assert (one + other <= 1e-6).all()
 

@@ -5,10 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from conftest import Shape, make_tabletop
 from scipy import ndimage
 
+from perception.observing import observe
 from reconstruction.surface.closed_solid import ClosedSolid
+from reconstruction.surface.seen_surface import SeenSurface
 from reconstruction.surface.tunnels import in_one_piece, membranes
+from reconstruction.surface.unseen_walls import NEAR, with_unseen_walls
 
 SHAPE = (24, 24, 20)
 
@@ -73,6 +77,42 @@ def test_a_solid_without_tunnels_and_parts_apart_stay_as_they_are() -> None:
     assert not membranes(solid, within(solid), np.zeros(SHAPE)).any()
     solid[20:23, 20:23, 16:19] = True
     assert not membranes(solid, within(solid), np.zeros(SHAPE)).any()
+
+
+@pytest.mark.parametrize(
+    ("width", "narrow", "closed"), [(2, True, True), (12, True, False), (12, False, True)]
+)
+def test_slips_of_the_lattice_are_closed_where_the_wall_is(width: int, narrow: bool, closed: bool) -> None:
+    """Two holes through the far wall of a ball's shell, which no ray reached."""
+    observation = observe(make_tabletop((Shape("sphere", (0.05,), (0.0, 0.0, 0.05)),)).frame)
+    edges, spacing = SeenSurface.of(observation).edges(0), 0.0025
+    item = observation.objects[0]
+    eye = edges.behind(item.points, 1.0).mean(0) - item.points.mean(0)
+    middle = item.points.mean(0) + 0.05 * eye / np.linalg.norm(eye)
+    middle[2] = 0.05
+    corner = middle - 0.06
+    nodes = corner + spacing * np.moveaxis(np.indices((49, 49, 49)), 0, -1)
+    out = np.linalg.norm(nodes - middle, axis=-1)
+    shell = 1e3 * np.minimum(0.045 - out, out - 0.039).astype(np.float32)
+    away, rise = (nodes - middle) @ (eye / np.linalg.norm(eye)), nodes[..., 2] - middle[2]
+    holes = np.zeros(shell.shape, bool)
+    aside = np.cross(eye / np.linalg.norm(eye), [0, 0, 1])
+    for side in (-0.02, 0.02):
+        across = np.abs((nodes - middle) @ aside - side)
+        holes |= (np.maximum(across, np.abs(rise)) < spacing * width / 2) & (away > 0) & (shell > -4)
+    shell[holes] = -1.0
+    walled = with_unseen_walls(shell, corner, spacing, edges, item.points, narrow)
+    if not closed:
+        assert walled is None
+    else:
+        assert walled is not None
+        found, before = ClosedSolid.of(walled, 0.05), ClosedSolid.of(shell, 0.05)
+        assert found is not None
+        assert before is not None
+        assert before.has_tunnel
+        assert not found.has_tunnel
+        raised = (walled > 0) & (shell <= 0)
+        assert 0 < raised.sum() <= holes.sum() + 8 * NEAR * width
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -19,13 +19,13 @@ ALIKE = np.float32(0.01)
 
 
 def exclusive(
-    lattices: Sequence[np.ndarray], firsts: Sequence[np.ndarray], known: Sequence[bool]
+    lattices: Sequence[np.ndarray], firsts: Sequence[np.ndarray], ranks: Sequence[int]
 ) -> list[np.ndarray]:
     """Log odds of K objects, (nx, ny, nz) float32 each, lowered so that no two add up to more than 0.
 
     Then surfaces where they cross 0 do not go through each other. firsts: the lattices' first nodes (3,) in
-    one lattice that holds them all. known: whose hidden sides follow from what was seen; what the map guesses
-    yields to those, and else both are lowered alike. What need not be lowered is the same array.
+    one lattice that holds them all. ranks: an object yields to those of a higher rank, and of two of one rank
+    both are lowered alike. What need not be lowered is the same array.
     """
     found = list(lattices)
     ends = [first + lattice.shape for first, lattice in zip(firsts, lattices)]
@@ -40,7 +40,7 @@ def exclusive(
             if found[k] is lattices[k]:
                 found[k] = lattices[k].copy()
         a, b = (_part(found[k], low - firsts[k], high - firsts[k]) for k in (one, other))
-        _settle(a, b, np.float32(0.5 + (known[other] - known[one]) / 2))
+        _settle(a, b, np.float32(0.5 + np.sign(ranks[other] - ranks[one]) / 2))
     return found
 
 

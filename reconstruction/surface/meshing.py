@@ -19,6 +19,7 @@ from reconstruction.surface.fusion import fuse
 from reconstruction.surface.joint_surface import JointEdges, JointSurface
 from reconstruction.surface.measured_vertices import share_left
 from reconstruction.surface.refined import values_at
+from reconstruction.surface.revolved import RevolvedEdges
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
 from reconstruction.surface.seen_surface import Edges, SeenSurface
 from reconstruction.surface.simplified import simplified
@@ -31,19 +32,24 @@ SEEN_LOG_ODDS = 2.0
 """Log odds given to the nodes that seen cells are kept by."""
 
 
+GUESSED, KNOWN, THIN_WALLED = range(3)
+"""Which object yields where two claim a place: what the map guesses to what follows from what was seen, and a
+thing that is full to a thin wall, which would get a hole."""
+
+
 @dataclass(frozen=True)
 class ObjectSolid:
     """What an object takes up, on a lattice `refine` times as fine as the field's.
 
     start: (3,) where the lattice that the solid was taken from begins, in nodes of the field's, from the
-    corner of the object's window; known: its hidden sides follow from what was seen; edges: what was measured
-    of it; cells: (N, 3) those of seen points, of the lattice that the solid was taken from.
+    corner of the object's window; rank: GUESSED, KNOWN or THIN_WALLED; edges: what was measured of it;
+    cells: (N, 3) those of seen points, of the lattice that the solid was taken from.
     """
 
     solid: ClosedSolid
     start: np.ndarray
     refine: int
-    known: bool
+    rank: int
     edges: Edges | JointEdges | None
     cells: np.ndarray | None
 
@@ -67,7 +73,7 @@ def kept_apart(
     lowered = exclusive(
         [own.solid.log_odds for own in there.values()],
         list(firsts.values()),
-        [own.known for own in there.values()],
+        [own.rank for own in there.values()],
     )
     for (index, own), log_odds in zip(there.items(), lowered):
         if log_odds is own.solid.log_odds:
@@ -130,12 +136,17 @@ def object_solid(
     solid = ClosedSolid.of(log_odds, config.smallest_part, cells)
     if solid is None:
         return None
-    if edges is not None and seen is not None and config.fusion.unseen_walls and solid.has_tunnel:
-        first = corner + field.spacing * start
-        walled = with_unseen_walls(log_odds, first, field.spacing / refine, edges, seen)
-        if walled is not None:
-            solid = ClosedSolid.of(walled, config.smallest_part, cells) or solid
-    return ObjectSolid(solid, start, refine, shape is not None, edges, cells)
+    if edges is not None and seen is not None and config.fusion.unseen_walls:
+        lattice = corner + field.spacing * start, field.spacing / refine
+        # Where the walls of a known shape are is known: their holes are closed there.
+        for narrow in (True, False) if shape is not None else (False,):
+            if not solid.has_tunnel:
+                break
+            walled = with_unseen_walls(log_odds, *lattice, edges, seen, narrow)
+            if walled is not None:
+                log_odds = walled
+                solid = ClosedSolid.of(log_odds, config.smallest_part, cells) or solid
+    return ObjectSolid(solid, start, refine, _rank_of(shape), edges, cells)
 
 
 def mesh_of(
@@ -154,3 +165,9 @@ def mesh_of(
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     unsure = np.clip(values_at(uncertainty, nodes), 0, 1)
     return mesh, unsure if found.edges is None else unsure * share_left(found.edges, vertices)
+
+
+def _rank_of(shape: WholeShape | None) -> int:
+    if shape is None:
+        return GUESSED
+    return THIN_WALLED if isinstance(shape, RevolvedEdges) and not shape.full else KNOWN

@@ -16,9 +16,13 @@ from reconstruction.surface.neighbours import beside, nodes_off, smoothed
 from reconstruction.surface.reading import FAR
 from reconstruction.surface.seen_surface import Edges
 from reconstruction.surface.tunnels import membranes
+from reconstruction.surface.vertices_apart import LEAST_VALUE
 
 GRAZED = 0.0015
 """So far into free space [m] a wall may reach: no nearer is a thin wall's place known."""
+NEAR, NEAR_GRAZED = 2, 0.0025
+"""A hole with no place farther than so many nodes from its sides is a slip of the lattice's, and its wall may
+reach so far into free space [m]: as far as the lattice's nodes are apart."""
 FARTHER = 0.35
 """Log odds that a wall loses with every node of distance from the rest of the object."""
 REACH = 8
@@ -37,7 +41,7 @@ AROUND = 6
 """Nodes around walls that they change: as far as they are smoothed."""
 FEW = 16
 """One node in so many tells whether there are more than that."""
-_GRAZED, _FAR, _PER_METRE = np.float32(GRAZED), np.float32(FAR), np.float32(PER_METRE)
+_FAR, _PER_METRE = np.float32(FAR), np.float32(PER_METRE)
 _LEAST, _ZERO, _FARTHER = np.float32(LEAST), np.float32(0), np.float32(FARTHER)
 
 
@@ -47,11 +51,12 @@ def with_unseen_walls(
     spacing: float,
     edges: Edges | JointEdges,
     seen: np.ndarray,
+    narrow: bool = False,
 ) -> np.ndarray | None:
     """The log odds (nx, ny, nz) of one object with walls across tunnels that no ray passed; None without any.
 
     Lattice at corner + spacing * (i, j, k) [m, table frame]; edges: of the object's image; seen: (N, 3)
-    measured points of it [m].
+    measured points of it [m]; narrow: only across tunnels that are slips of the lattice's.
     """
     box = extent(log_odds)
     if box is None:
@@ -60,17 +65,22 @@ def with_unseen_walls(
     first = np.array([part.start for part in box]) - 1
     values = np.full([part.stop - part.start + 2 for part in box], OUTSIDE, np.float32)
     values[1:-1, 1:-1, 1:-1] = log_odds[box]
-    solid = values > 0
+    solid = values >= LEAST_VALUE  # what is inside by less, marching cubes put outside
     # A wall across a tunnel lies within the solid's hull.
-    nodes = np.flatnonzero(in_hull(solid) & ~solid)
+    loose = in_hull(solid) & ~solid
+    off = nodes_off(solid)
+    if narrow:
+        loose &= off <= NEAR
+    grazed = NEAR_GRAZED if narrow else GRAZED
+    nodes = np.flatnonzero(loose)
     lattice = values.shape, corner + spacing * first, spacing
     if len(nodes) > MOST_HIDDEN:
-        few = np.count_nonzero(~np.isnan(_unpassed(places(nodes[::FEW], *lattice), edges, seen)))
+        few = np.count_nonzero(~np.isnan(_unpassed(places(nodes[::FEW], *lattice), edges, seen, grazed)))
         if few > MOST_HIDDEN // FEW:
             return None
     reach = np.full(values.shape, np.nan, np.float32)
-    reach.reshape(-1)[nodes] = _unpassed(places(nodes, *lattice), edges, seen)
-    wall = membranes(solid, ~np.isnan(reach), _likely(values, nodes_off(solid)))
+    reach.reshape(-1)[nodes] = _unpassed(places(nodes, *lattice), edges, seen, grazed)
+    wall = membranes(solid, ~np.isnan(reach), _likely(values, off))
     around = extent(wall)
     if around is None:
         return None
@@ -113,19 +123,20 @@ def _add_walls(values: np.ndarray, level: np.ndarray, wall: np.ndarray, reach: n
                     values[i, j, k] = max(values[i, j, k], new)
 
 
-def _unpassed(points: np.ndarray, edges: Edges | JointEdges, seen: np.ndarray) -> np.ndarray:
-    """How far points (N, 3) [m] are behind what was measured (N,), as log odds; NaN where rays passed."""
+def _unpassed(points: np.ndarray, edges: Edges | JointEdges, seen: np.ndarray, grazed: float) -> np.ndarray:
+    """How far points (N, 3) [m] are behind what was measured (N,), as log odds; NaN where rays passed more
+    than `grazed` [m] before it."""
     if not isinstance(edges, JointEdges):
         reading = edges.read(points)
-        return _reach(points, reading.distance, reading.others, *_eye_of(edges, seen))
+        return _reach(points, reading.distance, reading.others, *_eye_of(edges, seen), np.float32(grazed))
     # Most places are passed by the first view's rays: no other view is asked about those.
     reach = np.full(len(points), np.nan, np.float32)
-    left = np.flatnonzero(edges.above_floor(points[:, 2]) >= -GRAZED)
+    left = np.flatnonzero(edges.above_floor(points[:, 2]) >= -grazed)
     points = points[left]
     readings = np.empty((len(edges.views), 3, len(points)), np.float32)
     for number, view in enumerate(edges.views):
         view.read_into(points, readings[number, :, : len(points)])
-        count = _keep_unpassed(points, left, readings[: number + 1], *_eye_of(view, seen))
+        count = _keep_unpassed(points, left, readings[: number + 1], *_eye_of(view, seen), np.float32(grazed))
         points, left = points[:count], left[:count]
     readings = np.ascontiguousarray(readings[:, :, : len(points)])
     reach[left] = np.float32(PER_METRE) * edges.together(points, readings).distance
@@ -140,9 +151,11 @@ def _eye_of(edges: Edges, seen: np.ndarray) -> tuple[np.ndarray, np.float32]:
 
 
 @compiled
-def _passed(point: np.ndarray, distance: float, others: float, eye: np.ndarray, nearest: float) -> bool:
+def _passed(
+    point: np.ndarray, distance: float, others: float, eye: np.ndarray, nearest: float, grazed: float
+) -> bool:
     """Whether a ray of one image is known to have passed a point (3,) [m], or the object on its way."""
-    if distance < -_GRAZED:
+    if distance < -grazed:
         return True
     # What is seen before the object hides it; what is seen behind it ends rays that passed it on their way to
     # a point. Of points before what is seen, how far from the outline they are tells.
@@ -154,25 +167,35 @@ def _passed(point: np.ndarray, distance: float, others: float, eye: np.ndarray, 
 
 @compiled
 def _reach(
-    points: np.ndarray, distance: np.ndarray, others: np.ndarray, eye: np.ndarray, nearest: float
+    points: np.ndarray,
+    distance: np.ndarray,
+    others: np.ndarray,
+    eye: np.ndarray,
+    nearest: float,
+    grazed: float,
 ) -> np.ndarray:
     """`_unpassed` of points (N, 3) by a reading of one image (N,)."""
     reach = np.empty(len(points), np.float32)
     for n in range(len(points)):
-        passed = _passed(points[n], distance[n], others[n], eye, nearest)
+        passed = _passed(points[n], distance[n], others[n], eye, nearest, grazed)
         reach[n] = np.float32(np.nan) if passed else _PER_METRE * distance[n]
     return reach
 
 
 @compiled
 def _keep_unpassed(
-    points: np.ndarray, left: np.ndarray, readings: np.ndarray, eye: np.ndarray, nearest: float
+    points: np.ndarray,
+    left: np.ndarray,
+    readings: np.ndarray,
+    eye: np.ndarray,
+    nearest: float,
+    grazed: float,
 ) -> int:
     """How many of points (N, 3), with their numbers (N,) and readings (V, 3, >= N), the last of these views
     has not passed, as `_passed`; these are moved to the front."""
     count, last = 0, len(readings) - 1
     for n in range(len(points)):
-        if _passed(points[n], readings[last, 0, n], readings[last, 2, n], eye, nearest):
+        if _passed(points[n], readings[last, 0, n], readings[last, 2, n], eye, nearest, grazed):
             continue
         left[count], points[count] = left[n], points[n]
         for view in range(last + 1):
