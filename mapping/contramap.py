@@ -26,11 +26,12 @@ from mapping.errors import ConfigError, DataError
 from mapping.hinges import grid_around
 from mapping.kernels import PREDICT_CUTOFF, blocks, dense_features, groups_of_width
 from mapping.lattice import LatticeEvaluator
+from mapping.lifted import Lifted
 from mapping.map_file import StoredMap, write_map
-from mapping.preconditioner import sparse_factor
+from mapping.preconditioner import SparseFactor, sparse_factor
 from mapping.softmax import FitReport, fit_softmax
 from mapping.sparse_features import SparseFeatures, sparse_features
-from mapping.tiled_features import TiledFeatures, tiled_features
+from mapping.tiled_features import TiledFeatures
 
 QUERIES = 200_000
 """Points whose sparse features are held at a time while predicting."""
@@ -64,13 +65,15 @@ class ContraMap:
         weights: np.ndarray | None = None,
         classes: int | None = None,
         start: np.ndarray | None = None,
+        lifted: Lifted | None = None,
     ) -> ContraMap:
         """Fit the weights (paper, Section III-B).
 
         X: (N, d) points; y: (N,) int classes, the uncertain class being the largest, or (N, C+1) float
         distributions; hinges: (H, d), default a grid of hinge_spacing around the data; gamma: scalar or
         (H,), default config.gamma; weights: (N,) > 0; classes: C + 1 when y may lack the last class;
-        start: (H, C+1) weights that the fit begins with, default 0: it ends where it would, but sooner.
+        start: (H, C+1) weights that the fit begins with, default 0: it ends where it would, but sooner;
+        lifted: of X, hinges, gamma and config.fit_cutoff, where that is known already (on a processor).
         Raises DataError for wrong shapes, NaN or labels out of range.
         """
         X = checked_points(X)
@@ -90,8 +93,7 @@ class ContraMap:
         self.gamma = checked_widths(width, len(self.hinges))
         check_resolution(X, self.gamma)
         self.offset = self._offset(count)
-        features, order, strongest = self._features(X)
-        nodes = features.nodes if isinstance(features, TiledFeatures) else None
+        features, order, strongest, factor = self._lifted(X, lifted)
         # The map says "uncertain" beyond its hinge points whatever lies there: samples out of reach would
         # only drive the outermost weights up.
         reached = strongest > REACHED
@@ -104,7 +106,7 @@ class ContraMap:
             targets,
             weights_t,
             self.offset,
-            sparse_factor(self.hinges, self.gamma, nodes, self.device).scaled,
+            factor.scaled,
             self.config.l2,
             self.config.fit,
             self._begin(start),
@@ -183,14 +185,18 @@ class ContraMap:
         stored = StoredMap(self.hinges, self.gamma, W, offset, losses, converged, asdict(self.config))
         write_map(stored, Path(path))
 
-    def _features(self, X: np.ndarray) -> tuple[TiledFeatures | SparseFeatures, np.ndarray, np.ndarray]:
-        """Features of samples (N, d) for the fit, the samples' order there, and the strongest of each."""
+    def _lifted(
+        self, X: np.ndarray, lifted: Lifted | None
+    ) -> tuple[TiledFeatures | SparseFeatures, np.ndarray, np.ndarray, SparseFactor]:
+        """Features of samples (N, d) for the fit, the samples' order there, the strongest of each, and the
+        factor of their correlations."""
         cutoff = self.config.fit_cutoff
         if self.device.type == "cpu":
-            tiled = tiled_features(X, self.hinges, self.gamma, cutoff)
-            return tiled, tiled.order, tiled.strongest
+            own = lifted or Lifted.of(X, self.hinges, self.gamma, cutoff)
+            return own.features, own.features.order, own.features.strongest, own.factor
         found = sparse_features(X, self.hinges, self.gamma, cutoff, self.device)
-        return found, found.order.cpu().numpy(), found.strongest.cpu().numpy()
+        factor = sparse_factor(self.hinges, self.gamma, None, self.device)
+        return found, found.order.cpu().numpy(), found.strongest.cpu().numpy(), factor
 
     def _begin(self, start: np.ndarray | None) -> torch.Tensor | None:
         """Where the fit begins, in the features that it sees."""

@@ -61,18 +61,18 @@ class HingeNodes(NamedTuple):
 
 @compiled
 def nearest_earlier(
-    start: int, stop: int, hinges: np.ndarray, rank: np.ndarray, nodes: HingeNodes, count: int
+    rows: np.ndarray, hinges: np.ndarray, rank: np.ndarray, nodes: HingeNodes, count: int
 ) -> np.ndarray:
-    """(n, count) hinge points near each of start..stop that have an earlier rank (H,), nearest first, looked
+    """(n, count) hinge points near each of rows (n,) that have an earlier rank (H,), nearest first, looked
     for at the node nearest to it and beside that on every lattice; rows with fewer have their own point in
     their stead. hinges: (H, d)."""
     ids, first, shape, low, spacing, _ = nodes
-    found = np.empty((stop - start, count), np.int32)
+    found = np.empty((len(rows), count), np.int32)
     least = np.empty(count, np.float32)
     begin, end = np.zeros(3, np.int64), np.zeros(3, np.int64)
     squares = np.zeros((3, 3), np.float32)
-    for own in range(start, stop):
-        row = found[own - start]
+    for n_row in range(len(rows)):
+        own, row = rows[n_row], found[n_row]
         row[:] = own
         least[:] = np.inf
         for t in range(len(first)):

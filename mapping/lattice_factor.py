@@ -42,7 +42,7 @@ class LatticeFactor:
 
         def rows_of(part: slice) -> tuple[np.ndarray, np.ndarray]:
             near = _earlier(part.start, part.stop, hinges, rank, steps)
-            return factor_rows(part.start, near, rank, places, width)
+            return factor_rows(np.arange(part.start, part.stop), near, rank, places, width)
 
         with Threads() as threads:
             columns, values = zip(*threads.map(rows_of, threads.split(count)))

@@ -29,12 +29,13 @@ class SparseFactor:
     Each row of G solves a small dense system with its nearest earlier neighbours (Vecchia 1988; Kaporin
     1994), so building and applying it is linear in H, unlike a Cholesky factor of A.
     lower: G; upper: its transpose; scale: (H, C), each class's G being `lower` times diag(scale[:, c]), or
-    (H, 1) for all classes, or None: all ones.
+    (H, 1) for all classes, or None: all ones. rank: (H,) the order that "earlier" means, where it is known.
     """
 
     lower: SparseRows
     upper: SparseRows
     scale: torch.Tensor | None = None
+    rank: np.ndarray | None = None
 
     def pull(self, gradient: torch.Tensor) -> torch.Tensor:
         """G g: gradient by the weights (H, C) to gradient by the new coordinates (H, C)."""
@@ -69,18 +70,48 @@ def sparse_factor(
     near = _by_tree(hinges) if nodes is None else None
 
     def rows_of(part: slice) -> tuple[np.ndarray, np.ndarray]:
-        if near is None:
-            found = nearest_earlier(part.start, part.stop, hinges, rank, nodes, NEIGHBOURS)
-        else:
-            found = near(part)
-        return factor_rows(part.start, found, rank, hinges, gamma)
+        rows = np.arange(part.start, part.stop)
+        found = nearest_earlier(rows, hinges, rank, nodes, NEIGHBOURS) if near is None else near(part)
+        return factor_rows(rows, found, rank, hinges, gamma)
 
     with Threads(device) as threads:
         parts = zip(*threads.map(rows_of, threads.split(count)))
     columns, values = (torch.from_numpy(np.concatenate(part)) for part in parts)
     offsets = torch.arange(0, len(columns), NEIGHBOURS + 1, dtype=torch.int32)
     lower = SparseRows(*(part.to(device or "cpu") for part in (offsets, columns, values)))
-    return SparseFactor(lower, lower.transposed(count))
+    return SparseFactor(lower, lower.transposed(count), rank=rank)
+
+
+def extended_factor(
+    before: SparseFactor,
+    rank: np.ndarray,
+    places: np.ndarray,
+    hinges: np.ndarray,
+    gamma: np.ndarray,
+    nodes: HingeNodes,
+) -> SparseFactor:
+    """Factor for the correlations of Gaussian features, most of which had one: new ones come last in the
+    order, so that rows whose neighbours are all still there stay.
+
+    rank: (E,) that of the E earlier ones; places: (E,) which of hinges (H, d) they are now, -1 for none.
+    """
+    width, count = NEIGHBOURS + 1, len(hinges)
+    columns, values = np.zeros((count, width), np.int32), np.zeros((count, width), np.float32)
+    stay = np.flatnonzero(places >= 0)
+    now, held = places[stay], before.lower.values.numpy().reshape(-1, width)[stay]
+    coupled = places[before.lower.columns.numpy().reshape(-1, width)[stay]]
+    coupled[held == 0] = 0
+    columns[now], values[now] = coupled, held
+    ranks, anew = np.full(count, -1, np.int64), np.ones(count, bool)
+    ranks[now], anew[now] = rank[stay], (coupled < 0).any(1)
+    fresh = np.flatnonzero(ranks < 0)
+    ranks[fresh] = rank.max(initial=-1) + 1 + np.random.default_rng(0).permutation(len(fresh))
+    rows = np.flatnonzero(anew)
+    found = factor_rows(rows, nearest_earlier(rows, hinges, ranks, nodes, NEIGHBOURS), ranks, hinges, gamma)
+    columns[rows], values[rows] = (part.reshape(-1, width) for part in found)
+    offsets = torch.arange(0, count * width, width, dtype=torch.int32)
+    lower = SparseRows(offsets, torch.from_numpy(columns.reshape(-1)), torch.from_numpy(values.reshape(-1)))
+    return SparseFactor(lower, lower.transposed(count), rank=ranks)
 
 
 def _by_tree(hinges: np.ndarray) -> Callable[[slice], np.ndarray]:
@@ -94,9 +125,9 @@ def _by_tree(hinges: np.ndarray) -> Callable[[slice], np.ndarray]:
 
 @compiled
 def factor_rows(
-    first: int, near: np.ndarray, rank: np.ndarray, places: np.ndarray, gamma: np.ndarray
+    rows: np.ndarray, near: np.ndarray, rank: np.ndarray, places: np.ndarray, gamma: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rows first.. of the factor for correlations, n of NEIGHBOURS + 1 entries: columns and values, (n * .,).
+    """Rows (n,) of the factor for correlations, each of NEIGHBOURS + 1 entries: columns and values, (n * .,).
 
     near: (n, .) hinge points near each row's own, nearest first; rank: (H,) which ones are earlier; places:
     (H, d); gamma: (H,). A row couples its nearest earlier neighbours and, last, itself; 0 pads.
@@ -106,7 +137,7 @@ def factor_rows(
     values = np.zeros((len(near), width), np.float32)
     factor, column = np.empty((width, width)), np.empty(width)
     for row in range(len(near)):
-        own, count = first + row, 0
+        own, count = rows[row], 0
         for other in near[row]:
             if rank[other] < rank[own] and count < NEIGHBOURS:
                 columns[row, count] = other

@@ -57,16 +57,20 @@ def tiled_features(X: np.ndarray, hinges: np.ndarray, gamma: np.ndarray, cutoff:
     nodes = HingeNodes.of(hinges, gamma, cutoff)
     if nodes is None:
         return _of_search(X, hinges, gamma, cutoff, order)
-    points = np.zeros((-(-len(X) // LANES) * LANES, 3), np.float32)
-    points[: len(X), : X.shape[1]] = X[order]
-    points[len(X) :] = FAR
-    # Tiles in which each coordinate's eight numbers follow each other.
-    points = np.ascontiguousarray(points.reshape(-1, LANES, 3).transpose(0, 2, 1))
+    points = points_of_tiles(X[order])
     found = map_in_threads(
-        lambda part: _in_reach(points[part], nodes, np.float32(cutoff)), _parts(len(points))
+        lambda part: in_reach(points[part], nodes, np.float32(cutoff)), _parts(len(points))
     )
     strongest = np.concatenate([values for _, values in found])[: len(X)]
     return TiledFeatures(order, strongest, [tiles for tiles, _ in found], len(hinges), nodes)
+
+
+def points_of_tiles(X: np.ndarray) -> np.ndarray:
+    """Points (N, d) eight a tile: (T, 3, 8), each coordinate's eight numbers one after the other."""
+    points = np.zeros((-(-len(X) // LANES) * LANES, 3), np.float32)
+    points[: len(X), : X.shape[1]] = X
+    points[len(X) :] = FAR
+    return np.ascontiguousarray(points.reshape(-1, LANES, 3).transpose(0, 2, 1))
 
 
 def tiles_of_rows(ends: np.ndarray, columns: np.ndarray, values: np.ndarray, width: int) -> list[Tiles]:
@@ -101,7 +105,7 @@ def _of_search(
 
 
 @compiled
-def _in_reach(points: np.ndarray, nodes: HingeNodes, cutoff: float) -> tuple[Tiles, np.ndarray]:
+def in_reach(points: np.ndarray, nodes: HingeNodes, cutoff: float) -> tuple[Tiles, np.ndarray]:
     """Tiles of points (T, 3, 8), and the largest feature of each of them (8 T,); those below `cutoff` do not
     count."""
     ids, first, shape, low, spacing, gamma = nodes

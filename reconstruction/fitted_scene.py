@@ -38,7 +38,7 @@ from reconstruction.surface.meshing import ObjectSolid, extract_mesh, kept_apart
 from reconstruction.surface.refined import values_at
 from reconstruction.surface.seen_surface import SeenSurface, seen_by
 from reconstruction.surface.whole_shape import WholeShape, whole_shape
-from reconstruction.warm_start import LEFT, SHAPES, Before, Surface
+from reconstruction.warm_start import LEFT, SHAPES, Before, Surface, fit_of_views
 
 OTHER_MARGIN = 0.03
 """Obstacles without a label are mapped this far around what is seen of them [m]."""
@@ -113,17 +113,12 @@ class FittedScene:
     def map(self) -> ContraMap:
         """The fitted map: class 0 empty space, k the k-th observed object, then obstacles without a label if
         there are any, the last "uncertain"."""
-        training = self.samples
+        observation, training = self.observation, self.samples
+        if isinstance(observation, JointObservation):
+            return fit_of_views(self.config.map, training, observation, self.before)
         return ContraMap(self.config.map).fit(
-            training.X, training.y, hinges=training.hinges, gamma=training.gamma, start=self._start
+            training.X, training.y, hinges=training.hinges, gamma=training.gamma
         )
-
-    @property
-    def _start(self) -> np.ndarray | None:
-        if self.before is None:
-            return None
-        labels = [item.label for item in self.observation.objects]
-        return self.before.weights(self.samples, labels)
 
     @cached_property
     def field(self) -> Field:

@@ -29,7 +29,7 @@ from reconstruction.pictures.palette import paint
 from reconstruction.result import ObjectField, OtherObstacles, ReconstructedObject, Reconstruction
 from reconstruction.surface.field import Field, overlap, window_of, within
 from reconstruction.surface.parts import SEEN_POINTS
-from reconstruction.warm_start import LEFT, SHAPES, Before, Surface
+from reconstruction.warm_start import LEFT, LIFTED, SHAPES, Before, Surface
 
 STAGES = {
     "observation": "observe",
@@ -101,7 +101,8 @@ def update(
     surfaces = _surfaces(result)
     shapes = seen.memo.get((SHAPES, config.mesh.fusion), {})
     left = seen.memo.get(LEFT, {})
-    before = Before(result.map, result.map_labels, surfaces, _untouched(surfaces, new, config), shapes, left)
+    stay, lifted = _untouched(surfaces, new, config), seen.memo.get(LIFTED)
+    before = Before(result.map, result.map_labels, surfaces, stay, shapes, left, lifted)
     scene = FittedScene(result.frame, config, generator(result.seed), result.seed, given=joint, before=before)
     updated = _clocked(scene)
     return replace(updated, notes=tuple(dict.fromkeys([*result.notes, *updated.notes])))

@@ -1,7 +1,7 @@
 """What a map of one view more starts from: the weights of the earlier map of the same scene, where it had the
 same hinge points, and the surfaces that stay.
 
-Knows maps and training sets in one table frame; knows nothing of views.
+Knows maps and training sets in one table frame; knows nothing of images.
 """
 
 from __future__ import annotations
@@ -12,9 +12,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import trimesh
 
+from mapping.config import ModelConfig
 from mapping.contramap import ContraMap
 from mapping.known_points import among
+from mapping.lifted import Lifted
 from perception.observation import NOTHING, OTHER
+from perception.views.joint import JointObservation
 from reconstruction.result import ObjectField, ReconstructedObject
 from reconstruction.samples.training_set import TrainingSet
 from reconstruction.surface.whole_shape import WholeShape
@@ -23,6 +26,9 @@ SHAPES = "shapes"
 """Entry of an observation's memo, with the settings they were looked for by: shapes by label."""
 LEFT = "left"
 """Entry of an observation's memo: what views leave of the uncertainty of surfaces that stayed, by label."""
+
+LIFTED = "lifted"
+"""Entry of an observation's memo: the samples' features."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +48,8 @@ class Before:
     """A map that was fitted before. labels: of its columns, as Reconstruction.map_labels. surfaces: of its
     objects, by label; kept: those of them that stay as they are, no view being new to them; shapes: that
     they were found to have, as far as they were looked for; left: (V,) what the earlier views leave of the
-    uncertainty at a surface's vertices, by label, as far as that was worked out."""
+    uncertainty at a surface's vertices, by label, as far as that was worked out; lifted: its samples, where
+    they are kept."""
 
     map: ContraMap
     labels: tuple[int, ...]
@@ -50,6 +57,7 @@ class Before:
     kept: frozenset[int] = frozenset()
     shapes: Mapping[int, WholeShape | None] = field(default_factory=dict)
     left: Mapping[int, np.ndarray] = field(default_factory=dict)
+    lifted: Lifted | None = None
 
     def weights(self, training: TrainingSet, labels: Sequence[int]) -> np.ndarray:
         """(H, C+1) float32: the earlier weights of each hinge point and class; 0 for new ones. Hinge points
@@ -69,3 +77,20 @@ class Before:
             same = where >= 0
             start[np.ix_(here[same], new)] = earlier[np.ix_(there[where[same]], old)]
         return start
+
+
+def fit_of_views(
+    config: ModelConfig, training: TrainingSet, observation: JointObservation, before: Before | None
+) -> ContraMap:
+    """The map of several views' samples, from an earlier one where there is any. The samples' features are
+    kept with the observation: the next view leaves most of them as they are."""
+    model, lifted, start = ContraMap(config), None, None
+    if model.device.type == "cpu":
+        earlier = None if before is None else before.lifted
+        lifted = Lifted.of(training.X, training.hinges, training.gamma, config.fit_cutoff, earlier)
+        observation.memo[LIFTED] = lifted
+    if before is not None:
+        start = before.weights(training, [item.label for item in observation.objects])
+    return model.fit(
+        training.X, training.y, hinges=training.hinges, gamma=training.gamma, start=start, lifted=lifted
+    )

@@ -67,7 +67,7 @@ def test_neighbours_on_lattices_are_the_nearest_ones(dimensions):
     nodes = HingeNodes.of(hinges, gamma, 1e-2)
     assert nodes is not None
     rank = rng.permutation(len(hinges))
-    found = nearest_earlier(0, len(hinges), hinges, rank, nodes, 5)
+    found = nearest_earlier(np.arange(len(hinges)), hinges, rank, nodes, 5)
     spacing = np.array(spacings)[of]
     fewer = 0
     for own in range(0, len(hinges), 1 + len(hinges) // 300):
