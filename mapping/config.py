@@ -29,6 +29,9 @@ class FitConfig(Checked):
     renew: CountOrNone = 0
     """The curvature of each class is worked out after so many steps, and each time these have doubled: where
     classes are sure half the steps, for fits that take longer than some milliseconds. 0: never."""
+    warm: Positive = 1.0
+    """Where earlier weights are given to begin with, stop at so many times the tolerance: what is left was
+    left there before, but near what is new."""
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,7 @@ class ContraMap:
         X: (N, d) points; y: (N,) int classes, the uncertain class being the largest, or (N, C+1) float
         distributions; hinges: (H, d), default a grid of hinge_spacing around the data; gamma: scalar or
         (H,), default config.gamma; weights: (N,) > 0; classes: C + 1 when y may lack the last class;
-        start: (H, C+1) weights that the fit begins with, default 0: it ends where it would, but sooner;
+        start: (H, C+1) weights that the fit begins with, default 0: it ends near where it would, but sooner;
         lifted: of X, hinges, gamma and config.fit_cutoff, where that is known already (on a processor).
         Raises DataError for wrong shapes, NaN or labels out of range.
         """

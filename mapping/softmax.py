@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 
@@ -56,6 +56,8 @@ def fit_softmax(
     with Threads(offset.device) as threads:
         objective = objective_of(features, targets, sample_weights, offset, l2, threads)
         W = torch.zeros(objective.shape, device=offset.device) if start is None else start
+        if start is not None:
+            config = replace(config, tolerance=config.warm * config.tolerance)
         known = start is not None and config.renew > 0
         factor = whiten(objective.curvature_at(W) if known else objective.curvature())
         return minimise(objective, factor, whiten, config, W)

@@ -201,7 +201,7 @@ class PipelineConfig(Checked):
         # Stops well before the optimum and drops features below two hundredths: a third less work, and no
         # figure of the meshes is worse, for what is seen is fused from the depth image.
         default_factory=lambda: ModelConfig(
-            empty_log_odds=2.0, fit_cutoff=2e-2, fit=FitConfig(tolerance=1.2e-3, memory=4)
+            empty_log_odds=2.0, fit_cutoff=2e-2, fit=FitConfig(tolerance=1.2e-3, warm=2.0, memory=4)
         )
     )
     """The kernel softmax map and its fit."""

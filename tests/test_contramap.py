@@ -99,6 +99,20 @@ def test_the_fit_gets_near_the_optimum_in_few_steps(data):
     assert renewed.report.losses[-1] == pytest.approx(patient.report.losses[-1], abs=1e-5)
 
 
+def test_a_fit_from_earlier_weights_stops_sooner(data):
+    X, y, hinges = data
+    first = ContraMap(MapConfig(gamma=300.0)).fit(X[:-20], y[:-20], hinges=hinges, classes=y.max() + 1)
+    start, steps = first.W.numpy(), []
+    for warm in (1.0, 4.0):
+        config = MapConfig(gamma=300.0, fit=FitConfig(warm=warm))
+        cold = ContraMap(config).fit(X, y, hinges=hinges)
+        again = ContraMap(config).fit(X, y, hinges=hinges, start=start)
+        assert again.report.losses[-1] < cold.report.losses[-1] + 2e-3
+        steps += [cold.report.iterations, again.report.iterations]
+    assert steps[0] == steps[2]  # it has no say where there is nothing to begin with
+    assert steps[3] < steps[1] < steps[0]
+
+
 @pytest.mark.parametrize("share", [0.9, 0.95, 0.99])
 def test_out_of_reach_is_uncertain_whatever_the_class_balance(data, share):
     X, y, hinges = data

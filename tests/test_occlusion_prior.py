@@ -44,7 +44,33 @@ def test_rows_are_distributions(scene):
     assert rows.min() >= 0
     np.testing.assert_allclose(rows.sum(axis=1), 1, atol=1e-5)
     assert rows[:, 1:].max() > 0.9, "some hidden points must surely belong to an object"
+    np.testing.assert_allclose(rows, hidden_labels(observation, space, points), atol=1e-6)
+    observation.memo.clear()
     np.testing.assert_array_equal(rows, hidden_labels(observation, space, points))
+
+
+@pytest.mark.parametrize("only", [None, (1,), (0, 2)])
+def test_few_points_asked_later_have_the_same_answers(scene, only):
+    """They are answered for all objects at once, however many points were asked about before."""
+    observation, space, visible, points = scene
+    memo = {}
+    lookup = RayLookup(observation, space)
+    floors = [item.floor for item in observation.objects]
+    asked = (visible, space.origin, lookup)
+    prior = OcclusionPrior.load()
+    alone = prior.log_odds(*asked, points, floors, None, only)
+    calls = []
+    decode_rows = prior.network.decode_rows
+    prior.network.decode_rows = lambda *given: calls.append(1) or decode_rows(*given)
+    try:
+        prior.log_odds(*asked, points, floors, memo, only)
+        assert not calls
+        for few in (points[5:300], points[:1], points[:0]):
+            again = prior.log_odds(*asked, few, floors, memo, only)
+            np.testing.assert_allclose(again, alone[np.isin(points, few).all(1)], atol=2e-4)
+    finally:
+        del prior.network.decode_rows
+    assert calls
 
 
 def test_turning_the_table_changes_nothing(scene):

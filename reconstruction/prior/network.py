@@ -85,18 +85,30 @@ class PriorNetwork(nn.Module):
 
     def decode(self, features: torch.Tensor, local: torch.Tensor, channels: torch.Tensor) -> torch.Tensor:
         """Log odds (B, Q) at points (B, Q, 3) in box coordinates with channels (B, Q, POINT_CHANNELS)."""
+        objects, count = len(features), local.shape[1]
+        owner = np.arange(objects, dtype=np.int32).repeat(count)
+        near = self._near(features, owner, local.reshape(-1, 3)).reshape(objects, count, -1)
+        return self.decoder(torch.cat([near, channels], dim=-1))[..., 0]  # (B, Q, F + P) to (B, Q)
+
+    def decode_rows(
+        self, features: torch.Tensor, owner: np.ndarray, local: torch.Tensor, channels: torch.Tensor
+    ) -> torch.Tensor:
+        """Log odds (N,) at points (N, 3) of several objects, each in its object's box coordinates, with
+        channels (N, POINT_CHANNELS). owner: (N,) int32, whose features (B, ...) a point has."""
+        return self.decoder(torch.cat([self._near(features, owner, local), channels], dim=-1))[:, 0]
+
+    def _near(self, features: torch.Tensor, owner: np.ndarray, local: torch.Tensor) -> torch.Tensor:
+        """Features (N, F) of their owners' at points (N, 3)."""
         objects, count, *shape = features.shape
-        index, weight = corners(local.reshape(-1, 3).T.numpy(), shape)
+        index, weight = corners(local.T.numpy(), shape)
         if objects > 1:
-            first = np.arange(objects, dtype=np.int32) * np.int32(np.prod(shape))
-            index += first.repeat(local.shape[1])
-        near = F.embedding_bag(
+            index += owner * np.int32(np.prod(shape))
+        return F.embedding_bag(
             torch.from_numpy(np.ascontiguousarray(index.T)),
             features.permute(0, 2, 3, 4, 1).reshape(-1, count),
             per_sample_weights=torch.from_numpy(np.ascontiguousarray(weight.T)),
             mode="sum",
-        ).reshape(objects, -1, count)
-        return self.decoder(torch.cat([near, channels], dim=-1))[..., 0]  # (B, Q, F + P) to (B, Q)
+        )
 
     def plain(self) -> PriorNetwork:
         """The same function without normalisation layers, ready for use."""

@@ -35,6 +35,10 @@ ARCHITECTURE = "architecture"
 OUTSIDE = -12.0
 """Log odds of an object outside its box."""
 
+FEW = 3000
+"""So few points that are asked about later are answered for all objects at once: a call for each would cost
+more than the answers."""
+
 
 class OcclusionPrior:
     """P(empty), P(object k) at hidden points of one frame: the ShapePrior that comes with the project."""
@@ -116,14 +120,14 @@ class OcclusionPrior:
             with torch.inference_mode():
                 return self.network.encode(torch.from_numpy(lattices[part]))
 
-        def decode(place: int) -> None:
+        def known_of(place: int) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
             index = asked[place]
             box, floor = boxes[index], lifts[index][2]
             local = box.local(points - lifts[index] if floor else points)
             x, y, z = np.abs(local.T) <= 1
             rows = np.flatnonzero(x & y & z & (points[:, 2] >= floor))
             if len(rows) == 0:
-                return
+                return None
             local = local.T.take(rows, axis=1).T  # each axis stays in one piece
             if index not in plans:
                 plans[index] = Footprint.of(box, visible[index])
@@ -135,25 +139,55 @@ class OcclusionPrior:
                 *plan,
                 bodies[index].channels(box, local),
             )
-            with torch.inference_mode():
-                odds = self.network.decode(
-                    features[place : place + 1],
-                    torch.from_numpy(local)[None],
-                    torch.from_numpy(known).T[None],
-                )
-            result[rows, index] = odds[0].numpy()
+            return rows, local, known
+
+        def decode(place: int) -> None:
+            if (found := known_of(place)) is not None:
+                rows, local, known = found
+                with torch.inference_mode():
+                    odds = self.network.decode(
+                        features[place : place + 1],
+                        torch.from_numpy(local)[None],
+                        torch.from_numpy(known).T[None],
+                    )
+                result[rows, asked[place]] = odds[0].numpy()
+
+        def decode_few(found: list[tuple[np.ndarray, np.ndarray, np.ndarray] | None]) -> None:
+            few = [(place, *of_one) for place, of_one in enumerate(found) if of_one is not None]
+            if few:
+                places, rows, local, known = zip(*few)
+                owner = np.repeat(np.array(places, np.int32), [len(own) for own in rows])
+                with torch.inference_mode():
+                    odds = self.network.decode_rows(
+                        features,
+                        owner,
+                        torch.from_numpy(np.concatenate(local)),
+                        torch.from_numpy(np.concatenate(known, axis=1)).T,
+                    )
+                result[np.concatenate(rows), np.array(asked)[owner]] = odds.numpy()
 
         with Threads() as threads:
-            if memo and (self, asked) in memo:
+            again = memo is not None and (self, asked) in memo
+            if memo is not None and again:
                 features, boxes, bodies, plans = memo[self, asked]
             else:
                 threads.map(look, range(len(asked)))
                 # A batch a thread: one object at a time costs five times as much.
-                features = torch.cat(threads.map(encode, threads.split(len(asked))))
+                parts = threads.split(len(asked)) if only is None else batches(len(asked), threads)
+                features = torch.cat(threads.map(encode, parts))
                 if memo is not None:
                     memo[self, asked] = features, boxes, bodies, plans
-            threads.map(decode, range(len(asked)))
+            if again and len(points) <= FEW:
+                decode_few(threads.map(known_of, range(len(asked))))
+            else:
+                threads.map(decode, range(len(asked)))
         return result
+
+
+def batches(count: int, threads: Threads) -> list[slice]:
+    """0..count in parts, none of them of one alone where there are more: a single object costs three times
+    its share of two."""
+    return threads.split(count) if count > 3 else [slice(0, count)]
 
 
 def lattice_channels(box: ObjectBox, visible: np.ndarray, seen: RayEvidence) -> np.ndarray:
