@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mapping.threads import map_in_threads
 from perception.camera import Camera
 from perception.clusters import main_cluster
 from perception.config import PerceptionConfig
@@ -35,14 +36,19 @@ def clean_labels(
     its pixels that are not. floors: label -> height over the support plane of the support that it stands on
     [m], 0 where none is given.
     """
-    cleaned = np.zeros_like(labels)
-    for label, pixels in measured.items():
+
+    def own_of(label: int) -> np.ndarray:
+        pixels = measured[label]
         if support is not None:
             floor = (floors or {}).get(label, 0.0)
             pixels = pixels[~_on_table(points, labels, pixels, support, floor, camera, config)]
-        if pixels.size:
-            own = main_cluster(points, labels, pixels, support, camera, config)
-            cleaned.reshape(-1)[pixels[own]] = label
+        return (
+            pixels[main_cluster(points, labels, pixels, support, camera, config)] if len(pixels) else pixels
+        )
+
+    cleaned = np.zeros_like(labels)
+    for label, pixels in zip(measured, map_in_threads(own_of, measured)):
+        cleaned.reshape(-1)[pixels] = label
     return cleaned
 
 

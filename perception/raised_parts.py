@@ -36,18 +36,26 @@ def raised_parts(
     if np.count_nonzero(inner) < LEAST_PIXELS:
         return found
     support = bare & (np.abs(heights) < within)
-    count, piece = cv2.connectedComponents(low.astype(np.uint8), connectivity=4)
+    count, pieces, boxes, _ = cv2.connectedComponentsWithStats(low.astype(np.uint8), connectivity=4)
     for number in range(1, count):
-        own = piece == number
-        core = own & (inner > 0)
-        near = cv2.dilate(own.astype(np.uint8), _disc(RING)) > 0
-        ring = support & near & ~(cv2.dilate(own.astype(np.uint8), _disc(APART)) > 0)
-        if min(np.count_nonzero(core), np.count_nonzero(ring)) < LEAST_PIXELS:
+        left, top, width, height, _ = boxes[number].tolist()
+        # Nothing farther from a piece than its ring has a say.
+        part = (
+            slice(max(top - RING, 0), top + height + RING),
+            slice(max(left - RING, 0), left + width + RING),
+        )
+        own = pieces[part] == number
+        core = own & (inner[part] > 0)
+        if np.count_nonzero(core) < LEAST_PIXELS:
             continue
-        level = float(np.median(heights[ring]))
-        out = float(np.median(heights[core])) - level
+        near = cv2.dilate(own.astype(np.uint8), _disc(RING)) > 0
+        ring = support[part] & near & ~(cv2.dilate(own.astype(np.uint8), _disc(APART)) > 0)
+        if np.count_nonzero(ring) < LEAST_PIXELS:
+            continue
+        level = float(np.median(heights[part][ring]))
+        out = float(np.median(heights[part][core])) - level
         if out > max(STANDS_OUT, NOISES * noise):
-            found |= own & (_smoothed(heights, own) > level + out / 2)
+            found[part] |= own & (_smoothed(heights[part], own) > level + out / 2)
     return found
 
 

@@ -89,9 +89,12 @@ class Stack:
 
     def place(self, view: int, pixels: np.ndarray) -> np.ndarray:
         """Flat indices in the stacked image of pixels (N,) of one view; -1 stays -1."""
-        row, column = np.divmod(pixels, self.widths[view])
-        placed = (row + self.rows[view]) * self.width + column
-        return np.where(pixels < 0, pixels, placed).astype(pixels.dtype)
+        if self.widths[view] == self.width:
+            placed = pixels + self.rows[view] * self.width
+        else:
+            row, column = np.divmod(pixels, self.widths[view])
+            placed = (row + self.rows[view]) * self.width + column
+        return np.where(pixels < 0, pixels, placed).astype(pixels.dtype, copy=False)
 
     def view_of(self, pixels: np.ndarray) -> np.ndarray:
         """Which view pixels (N,) of the stacked image belong to."""

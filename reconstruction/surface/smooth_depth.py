@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapping.compiled import compiled
+from mapping.threads import map_in_threads
 from perception.camera import Camera
 from perception.grouping import group_by_label
 
@@ -51,19 +52,21 @@ def surface_planes(
     """
     inverse = (1 / depth).astype(np.float32, copy=False)
     own = inverse.reshape(-1)[pixels]
-    parts = [
-        _Part.of(inverse, labels, label, pixels[mine], mine)
-        for label, mine in group_by_label(labels.reshape(-1)[pixels].astype(np.uint16))
-    ]
-    bends = np.concatenate(
-        [np.empty(0, np.float32), *(part.bends(*step) for part in parts for step in STEPS)]
-    )
-    noise = _noise(bends)
+    groups = group_by_label(labels.reshape(-1)[pixels].astype(np.uint16))
+
+    def part_of(group: tuple[int, np.ndarray]) -> tuple[_Part, list[np.ndarray]]:
+        part = _Part.of(inverse, labels, group[0], pixels[group[1]], group[1])
+        return part, [part.bends(*step) for step in STEPS]
+
+    found = map_in_threads(part_of, groups)
+    parts = [part for part, _ in found]
+    noise = _noise(np.concatenate([np.empty(0, np.float32), *(bend for _, own in found for bend in own)]))
     middle = float(np.median(own)) if len(own) else 1.0
     radius = RADIUS if noise / middle**2 > SMOOTH_ABOVE else 1
     fitted = np.empty((3, len(pixels)), np.float32)
-    for part in parts:
-        fitted[:, part.which] = _fitted(part, noise, radius, min(camera.K[0, 0], camera.K[1, 1]))
+    focal = min(camera.K[0, 0], camera.K[1, 1])
+    for part, own_fit in zip(parts, map_in_threads(lambda part: _fitted(part, noise, radius, focal), parts)):
+        fitted[:, part.which] = own_fit
     return _in_space(fitted, pixels, camera.width, camera.K.astype(np.float32)), noise
 
 
