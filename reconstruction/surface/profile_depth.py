@@ -20,8 +20,9 @@ LIP, ENDED = 0.001, 0.0005
 farther from all of them than the second is beyond it."""
 EMPTY, UNKNOWN = np.float32(-0.008), np.float32(0.02)
 """Depths [m] where rays passed, and where nothing is known."""
-NEIGHBOURS = 12
-"""So many measured points nearby say how deep a place is: with fewer, noise makes steps."""
+ALONG = 0.0012
+"""Measured points say how deep a place is that are as near to it as the nearest one, or less so by a standard
+deviation of so much along the profile [m]: with fewer, noise makes ripples."""
 FLOOR = 0.7
 """Normals that point down more than this belong to the inside: a bowl's floor."""
 THINNEST = 0.0045
@@ -37,6 +38,8 @@ point's own is wrong: at outlines, planes reach round edges."""
 STEEP, INNER_SHARE = 0.3, 0.03
 """A wall's normal is level by at least this sine; a body of which more of the points than this share are on
 inner walls is a vessel."""
+_LEAST_WEIGHT = 2.5
+"""Standard deviations beyond which points do not count."""
 _RINGS = round(2 * NEAR / CELL)
 """Measured points are looked for within so many cells ..."""
 _REACH = int(np.ceil(np.hypot(NEAR, BESIDE) / CELL))
@@ -118,20 +121,26 @@ def _like_others(profile: np.ndarray, inwards: np.ndarray, rows: int, columns: i
 def _depth_behind(
     profile: np.ndarray, inwards: np.ndarray, rows: int, columns: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How far places (rows, columns) are behind the profile (M, 2) of one side of a wall [m], of the nearest
-    measured points the mean, -inf where that is not known; and how far beyond its ends, inf there."""
+    """How far places (rows, columns) are behind the profile (M, 2) of one side of a wall [m], the mean of the
+    nearest measured points', -inf where that is not known; and how far beyond its ends, inf there."""
     behind, beyond = np.full((rows, columns), -np.inf), np.full((rows, columns), np.inf)
     starts, order = _by_cell(profile, rows, columns)
-    distance, nearest = np.empty(NEIGHBOURS), np.empty(NEIGHBOURS, np.int64)
     for r, c in np.argwhere(_around_points(starts, rows, columns)):
-        count = _nearest(r, c, profile, starts, order, rows, columns, distance, nearest)
-        deep = 0.0
-        for n in range(count):
-            x, y = r * CELL - profile[nearest[n], 0], c * CELL - profile[nearest[n], 1]
-            deep += x * inwards[nearest[n], 0] + y * inwards[nearest[n], 1]
-        deep /= max(count, 1)
-        aside = np.sqrt(max(distance[0] - deep * deep, 0.0))
-        if count and aside < BESIDE and abs(deep) < NEAR:
+        nearest = np.sqrt(_nearest(r, c, profile, starts, order, rows, columns))
+        reach = int(np.sqrt(nearest**2 + (_LEAST_WEIGHT * ALONG) ** 2) / CELL) + 1
+        deep = weights = 0.0
+        for i in range(max(r - reach, 0), min(r + reach, rows)):
+            first, last = i * columns + max(c - reach, 0), i * columns + min(c + reach, columns)
+            for n in order[starts[first] : starts[last]]:
+                x, y = r * CELL - profile[n, 0], c * CELL - profile[n, 1]
+                weight = np.exp((nearest**2 - x * x - y * y) / (2 * ALONG**2))
+                weights += weight
+                deep += weight * (x * inwards[n, 0] + y * inwards[n, 1])
+        if weights == 0:
+            continue
+        deep /= weights
+        aside = np.sqrt(max(nearest**2 - deep**2, 0.0))
+        if aside < BESIDE and abs(deep) < NEAR:
             behind[r, c], beyond[r, c] = deep, aside
     return behind, beyond
 
@@ -174,12 +183,10 @@ def _nearest(
     order: np.ndarray,
     rows: int,
     columns: int,
-    distance: np.ndarray,
-    nearest: np.ndarray,
-) -> int:
-    """How many points (M, 2) near the place (r, c) are found, the nearest first: their squared distances and
-    numbers are put into `distance` and `nearest` (NEIGHBOURS,)."""
-    count = 0
+) -> float:
+    """The squared distance [m^2] of the place (r, c) from the nearest of points (M, 2), as far as is looked
+    for."""
+    least = (2 * NEAR) ** 2
     for ring in range(_RINGS):
         for i in range(max(r - ring - 1, 0), min(r + ring + 1, rows)):
             whole = i == r - ring - 1 or i == r + ring
@@ -189,27 +196,7 @@ def _nearest(
                     continue
                 cell = i * columns + j
                 for n in order[starts[cell] : starts[cell + 1]]:
-                    far = (r * CELL - points[n, 0]) ** 2 + (c * CELL - points[n, 1]) ** 2
-                    count = _insert(far, n, distance, nearest, count)
-        # All that is no farther than this has been looked at.
-        seen = (ring + 1) * CELL
-        if count == len(distance) and distance[count - 1] <= seen * seen:
+                    least = min(least, (r * CELL - points[n, 0]) ** 2 + (c * CELL - points[n, 1]) ** 2)
+        if least <= ((ring + 1) * CELL) ** 2:  # all that is no farther than this has been looked at
             break
-    while count and distance[count - 1] > (2 * NEAR) ** 2:
-        count -= 1
-    return count
-
-
-@compiled
-def _insert(far: float, number: int, distance: np.ndarray, nearest: np.ndarray, count: int) -> int:
-    """Put one more into `distance` and `nearest` if it is among the nearest; how many there are then."""
-    if count == len(distance):
-        if far >= distance[count - 1]:
-            return count
-        count -= 1
-    at = count
-    while at > 0 and distance[at - 1] > far:
-        distance[at], nearest[at] = distance[at - 1], nearest[at - 1]
-        at -= 1
-    distance[at], nearest[at] = far, number
-    return count + 1
+    return least
