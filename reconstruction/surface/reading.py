@@ -103,9 +103,10 @@ def faced(points: np.ndarray, image: Image, own: int) -> tuple[np.ndarray, np.nd
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         _, _, _, row, column = _pixel_of(x, y, z, A, b)
         if 0 <= column < columns and 0 <= row < rows and owners[row, column] == own:
-            plane = planes[row * columns + column]
-            normals[i] = plane[:3]
-            behind[i] = plane[0] * x + plane[1] * y + plane[2] * z - plane[3]
+            at = row * columns + column
+            for axis in range(3):
+                normals[i, axis] = planes[at, axis]
+            behind[i] = planes[at, 0] * x + planes[at, 1] * y + planes[at, 2] * z - planes[at, 3]
     return normals, behind
 
 
@@ -119,9 +120,10 @@ def leave(points: np.ndarray, image: Image, own: int, within: float, least: floa
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         _, _, _, row, column = _pixel_of(x, y, z, A, b)
         if 0 <= column < columns and 0 <= row < rows and owners[row, column] == own:
-            plane = planes[row * columns + column]
-            off = abs(plane[0] * x + plane[1] * y + plane[2] * z - plane[3]) / within
-            if off < left[i] and (plane[0] != _ZERO or plane[1] != _ZERO or plane[2] != _ZERO):
+            at = row * columns + column
+            a, d, c = planes[at, 0], planes[at, 1], planes[at, 2]
+            off = abs(a * x + d * y + c * z - planes[at, 3]) / within
+            if off < left[i] and (a != _ZERO or d != _ZERO or c != _ZERO):
                 left[i] = max(off, least)
 
 
@@ -139,6 +141,7 @@ def read_into(
     own, floor, top, left, nearest, edge_pixels, edge_planes = outline
     rows, columns = owners.shape
     _, height, width = nearest.shape
+    # Planes are read number by number: references to rows would be counted, which takes as long as the rest.
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         away, u, v, row, column = _pixel_of(x, y, z, A, b)
@@ -149,8 +152,8 @@ def read_into(
                 # The table and the room need no planes: nothing is built on them.
                 behind = away - depths[row, column]
             elif owner != NOT_MEASURED:
-                plane = planes[row * columns + column]
-                behind = plane[0] * x + plane[1] * y + plane[2] * z - plane[3]
+                at = row * columns + column
+                behind = planes[at, 0] * x + planes[at, 1] * y + planes[at, 2] * z - planes[at, 3]
         free = owner != NOT_MEASURED and behind < _ZERO
         # The part's outermost pixels have no edge near: whatever lies beyond is taken for one of them.
         edge = nearest[
@@ -158,8 +161,8 @@ def read_into(
         ]
         lateral = _FAR
         if edge > 0:
-            plane = edge_planes[edge]
-            before = min(plane[0] * x + plane[1] * y + plane[2] * z - plane[3], _ZERO)
+            before = edge_planes[edge, 0] * x + edge_planes[edge, 1] * y + edge_planes[edge, 2] * z
+            before = min(before - edge_planes[edge, 3], _ZERO)
             # Free space beyond an edge matters to a point that lies before the surface there.
             if free or before < _ZERO:
                 du, dv = u - edge_pixels[edge, 0], v - edge_pixels[edge, 1]
