@@ -138,6 +138,10 @@ class Observation:
         owner[self.other.pixels] = len(self.objects) + 1
         return owner
 
+    def shows_object(self, pixels: np.ndarray) -> np.ndarray:
+        """Whether pixels (N,), flat indices, show an object, measured or guessed: (N,) bool."""
+        return np.asarray(self.owner[pixels] < len(self.objects))
+
     @property
     def first(self) -> Observation:
         """The view that pictures show: itself, or the first of several."""

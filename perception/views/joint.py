@@ -7,7 +7,9 @@ together. A pixel's flat index counts in the stacked image, so what reads pixels
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -49,10 +51,53 @@ class JointObservation(Observation):
     """What several views show together, in the table frame of the first.
 
     Images are those of all views, one under the other, padded to one width; pixels of objects count in them.
-    camera, T_table_camera and support are the first view's.
+    They are put together when they are asked for: most steps ask the views. camera, T_table_camera and
+    support are the first view's.
     """
 
+    depth: np.ndarray = field(init=False, repr=False)
+    labels: np.ndarray = field(init=False, repr=False)
+    seen: np.ndarray | None = field(init=False, repr=False)
     views: tuple[View, ...] = ()
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in ("depth", "labels", "seen"):
+            raise AttributeError(name)
+        seen = [view.observation for view in self.views]
+        if name == "depth":
+            image = self.stack.image([one.depth for one in seen], np.nan)
+        elif name == "labels":
+            image = self.stack.image([one.labels for one in seen], 0)
+        else:
+            bare = [
+                np.full(one.depth.shape, NOTHING, np.int32) if one.seen is None else one.seen for one in seen
+            ]
+            image = self.stack.image(bare, NOTHING)
+        self.__dict__[name] = image
+        return image
+
+    @cached_property
+    def stack(self) -> Stack:
+        """Where each view's image lies in the stacked one."""
+        return Stack.of([view.observation.depth.shape for view in self.views])
+
+    def shows_object(self, pixels: np.ndarray) -> np.ndarray:
+        own = self.stack.view_of(pixels)
+        found = np.zeros(len(pixels), bool)
+        for number, view in enumerate(self.views):
+            here = own == number
+            found[here] = view.observation.shows_object(self.stack.taken(number, pixels[here]))
+        return found & ~np.isin(pixels, self._no_guesses)
+
+    @cached_property
+    def _no_guesses(self) -> np.ndarray:
+        """Pixels (M,) of surfaces that one view guessed and another measured."""
+        guessed = [
+            self.stack.place(number, item.guessed)
+            for number, view in enumerate(self.views)
+            for item in view.observation.objects
+        ]
+        return np.setdiff1d(np.concatenate(guessed), np.concatenate([item.guessed for item in self.objects]))
 
     @property
     def first(self) -> Observation:
@@ -96,6 +141,11 @@ class Stack:
             placed = (row + self.rows[view]) * self.width + column
         return np.where(pixels < 0, pixels, placed).astype(pixels.dtype, copy=False)
 
+    def taken(self, view: int, pixels: np.ndarray) -> np.ndarray:
+        """Flat indices in one view's image of its pixels (N,) in the stacked one."""
+        row, column = np.divmod(pixels, self.width)
+        return (row - self.rows[view]) * self.widths[view] + column
+
     def view_of(self, pixels: np.ndarray) -> np.ndarray:
         """Which view pixels (N,) of the stacked image belong to."""
         return np.searchsorted(self.rows, pixels // self.width, side="right") - 1
@@ -124,13 +174,10 @@ def join(views: Sequence[View], notes: Sequence[str], skipped: Sequence[Skipped]
     if any(one is not None for one in guesses):
         empty = [np.full(one.depth.shape, np.float32(np.nan)) for one in seen]
         guess = stack.image([e if g is None else g for g, e in zip(guesses, empty)], np.nan)
-    whole = [np.full(one.depth.shape, NOTHING, np.int32) if one.seen is None else one.seen for one in seen]
     first = seen[0]
     heights = {*first.levels, *(item.floor for item in objects)}
     return JointObservation(
         first.camera,
-        stack.image([one.depth for one in seen], np.nan),
-        stack.image([one.labels for one in seen], 0),
         first.T_table_camera,
         first.support,
         objects,
@@ -138,7 +185,6 @@ def join(views: Sequence[View], notes: Sequence[str], skipped: Sequence[Skipped]
         tuple(notes),
         levels=tuple(sorted(heights)),
         other=_obstacles(objects, seen, stack),
-        seen=stack.image(whole, NOTHING),
         guess=guess,
         views=placed,
     )

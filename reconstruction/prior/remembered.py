@@ -19,7 +19,8 @@ def remembered(
     """ask(points): an answer (N, K) for each of points (N, 3) float32, which must not depend on the others.
 
     Those among the points of the last call with this memo and key are not asked again. The memo keeps the
-    points and answers of this call alone, so that it grows no larger than they are.
+    points and answers of this call alone, so that it grows no larger than they are: who writes into the
+    answers copies them first.
     """
     if key not in memo:
         answers = ask(points)
@@ -31,4 +32,4 @@ def remembered(
         if len(new):
             answers[new] = ask(points[new])
     memo[key] = points, answers
-    return answers.copy()
+    return answers

@@ -12,6 +12,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 
 from mapping.compiled import compiled
+from mapping.threads import map_in_threads
 
 SURE = 0.8
 """So surely a hidden point is what a body says, unless it is near its surface: it is hidden all the same."""
@@ -38,9 +39,10 @@ def with_bodies(
     """The guess (N, K+1) of {empty, object 1..K} at points (N, 3), given the bodies of the K objects; and
     which of the points (N,) lie in a body that is never hollow."""
     guess, filled = guess.copy(), np.zeros(len(points), np.bool_)
-    for own, body in enumerate(bodies, start=1):
-        if body is not None:
-            _say(guess, filled, own, body.depth_known(points), body.never_hollow)
+    known = [(own, body) for own, body in enumerate(bodies, start=1) if body is not None]
+    depths = map_in_threads(lambda one: one[1].depth_known(points), known)
+    for (own, body), depth in zip(known, depths):
+        _say(guess, filled, own, depth, body.never_hollow)
     return guess, filled
 
 

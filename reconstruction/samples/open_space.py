@@ -130,6 +130,7 @@ def _under_own_support(scope: Scope, points: np.ndarray) -> np.ndarray:
 
 def _within_wall(scope: Scope, points: np.ndarray) -> np.ndarray:
     """Which points (N, 3) lie so little behind an object's seen surface that they belong to its wall."""
-    owned = scope.observation.owner < len(scope.observation.objects)
     sight = scope.space.look(points)
-    return (sight.pixel >= 0) & owned[sight.pixel] & (sight.behind < scope.config.wall)
+    within = (sight.pixel >= 0) & (sight.behind < scope.config.wall)
+    within[within] = scope.observation.shows_object(sight.pixel[within])
+    return np.asarray(within)

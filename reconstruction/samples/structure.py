@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mapping.compiled import compiled
-from mapping.threads import map_in_threads
+from mapping.threads import Threads, map_in_threads
 from perception.beside_masks import beside_all_masks
 from perception.observation import Observation, ObservedObject
 from perception.space import Region, Space
@@ -61,7 +61,7 @@ def structure(
     """
     views = each_view(observation, space)
     guess = (
-        _objects(*views[0], config, points)
+        _objects(*views[0], config, points).copy()
         if len(views) == 1
         else _all_views(observation, views, config, points)
     )
@@ -128,7 +128,9 @@ def _all_views(
         guess = _objects(seen, space, config, points[asked], only)
         columns = np.array([[k, place[seen.objects[k].label]] for k in loud])
         areas = np.array([_area(seen.objects[k], space) for k in loud], np.float32)
-        _vote(odds, total, asked, columns, guess, weight, areas, enough[group], np.float32(LEAST_CHANCE))
+        of_view = odds, total, columns, weight, areas, enough[group], np.float32(LEAST_CHANCE)
+        halves = [(*of_view, asked[part], guess[part]) for part in Threads().split(len(asked))]
+        map_in_threads(lambda half: _vote(*half), halves)
     return np.asarray(_shares(odds, total))
 
 
@@ -157,13 +159,13 @@ def _shares(odds: np.ndarray, total: np.ndarray) -> np.ndarray:
 def _vote(
     odds: np.ndarray,
     total: np.ndarray,
-    asked: np.ndarray,
     columns: np.ndarray,
-    guess: np.ndarray,
     weight: np.ndarray,
     areas: np.ndarray,
     enough: np.ndarray,
     least: float,
+    asked: np.ndarray,
+    guess: np.ndarray,
 ) -> None:
     """Add to odds (N, K), and to the weights total (N, K), what a view guesses (M, 1 + own) of points asked
     (M,): of L of its objects, columns (L, 2): their number in it and among all, with weight (N,) times areas

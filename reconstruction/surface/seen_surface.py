@@ -38,11 +38,11 @@ def _put_planes(planes: np.ndarray, pixels: np.ndarray, own: np.ndarray, T: np.n
     """Planes (H W, 4) of pixels (N,) in the table's frame from those (N, 4) in the camera's; T: table to
     camera."""
     for n in range(len(pixels)):
-        plane = planes[pixels[n]]
+        pixel = pixels[n]
         x, y, z, c = own[n, 0], own[n, 1], own[n, 2], own[n, 3]
         for axis in range(3):
-            plane[axis] = x * T[0, axis] + y * T[1, axis] + z * T[2, axis]
-        plane[3] = c - (x * T[0, 3] + y * T[1, 3] + z * T[2, 3])
+            planes[pixel, axis] = x * T[0, axis] + y * T[1, axis] + z * T[2, axis]
+        planes[pixel, 3] = c - (x * T[0, 3] + y * T[1, 3] + z * T[2, 3])
 
 
 @dataclass(frozen=True)
