@@ -14,7 +14,6 @@ import numpy as np
 
 from mapping.contramap import ContraMap
 from mapping.errors import ConfigError
-from mapping.known_points import first_in_cells
 from mapping.threads import map_in_threads
 from perception.beside_masks import beside_all_masks
 from perception.carried import beds
@@ -167,10 +166,10 @@ class FittedScene:
 
     def _points(self, index: int) -> np.ndarray:
         """What was measured of an object (N, 3) [m]; a surface seen several times is there once."""
-        points = self.observation.objects[index].points
-        if isinstance(self.seen, JointSurface):
-            points = points[first_in_cells(points, self.seen.thinnest)]
-        return points
+        item, observation = self.observation.objects[index], self.observation
+        if isinstance(self.seen, JointSurface) and isinstance(observation, JointObservation):
+            return observation.thinned(item.label, self.seen.thinnest)
+        return item.points
 
     @cached_property
     def meshes(self) -> list[Surface | None]:

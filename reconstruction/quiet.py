@@ -5,9 +5,10 @@ Knows joint observations and the earlier map's surfaces; knows nothing of how su
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
-from mapping.known_points import first_in_cells
 from mapping.threads import map_in_threads
 from perception.views.joint import JointObservation
 from reconstruction.surface.joint_surface import JointSurface
@@ -20,21 +21,17 @@ def quiet_objects(observation: JointObservation, seen: JointSurface, before: Bef
 
     seen: what the views measured.
     """
-    latest = {item.label: item.points for item in observation.views[-1].observation.objects}
-
-    def thin(points: np.ndarray) -> np.ndarray:
-        return points[first_in_cells(points, seen.thinnest)]
+    earlier, latest = observation.views[:-1], observation.views[-1:]
 
     def quiet(index: int) -> bool:
-        item = observation.objects[index]
-        surface = before.surfaces.get(item.label)
-        if surface is None or surface.field is None or item.label in before.kept:
+        label = observation.objects[index].label
+        surface = before.surfaces.get(label)
+        if surface is None or surface.field is None or label in before.kept:
             return False
         edges = seen.edges(index)
-        points = latest.get(item.label, np.empty((0, 3), np.float32))
         vertices = np.asarray(surface.mesh.vertices, np.float32)
-        earlier = item.points[: len(item.points) - len(points)]  # the latest view's come last
-        return unchanged(vertices, edges.views[-1], edges.spread, thin(points), lambda: thin(earlier))
+        new, known = (partial(observation.thinned, label, seen.thinnest, of) for of in (latest, earlier))
+        return unchanged(vertices, edges.views[-1], edges.spread, new(), known)
 
     found = map_in_threads(quiet, range(len(observation.objects)))
     return frozenset(item.label for item, stays in zip(observation.objects, found) if stays)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from mapping.known_points import first_in_cells
 from mapping.near_points import near_any
 from perception.frame import Frame
 from perception.observation import (
@@ -111,6 +112,20 @@ class JointObservation(Observation):
             for own in view.observation.objects
             if own.label == item.label
         )
+
+    def thinned(self, label: int, size: float, views: Sequence[View] | None = None) -> np.ndarray:
+        """The first point (M, 3) [m] measured of an object in each cell between multiples of `size` [m];
+        views: what these measured, by default all. What a view leaves is worked out once."""
+        parts = [np.empty((0, 3), np.float32)]
+        for view in self.views if views is None else views:
+            known = view.observation.memo.setdefault(("thinned", size), {})
+            for item in view.observation.objects:
+                if item.label == label:
+                    if label not in known:
+                        known[label] = item.points[first_in_cells(item.points, size)]
+                    parts.append(known[label])
+        points = np.concatenate(parts)
+        return points[first_in_cells(points, size)] if len(parts) > 2 else points
 
     def columns(self, view: View) -> list[int]:
         """Where the objects of one view stand among all."""

@@ -45,7 +45,8 @@ def open_space(scope: Scope) -> OpenSpace:
     unknown = region == Region.OUT_OF_VIEW
     unknown[unknown] = scope.near(hidden[unknown], config.unknown_distance)
     hidden = hidden[(region == Region.OCCLUDED) | unknown]
-    near = lattice_near_points(scope.seen, config.near_distance, config.near_spacing)
+    seen = scope.seen_nodes(config.near_spacing)
+    near = lattice_near_points(seen, config.near_distance, config.near_spacing)
     near = scope.draws.jitter(near, config.near_spacing)
     is_empty, is_hidden = scope.classify(near)
     hidden = np.concatenate([hidden, near[is_hidden], _beyond_border(scope)])

@@ -10,8 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mapping.hinges import lattice_near_points
 from perception.observation import Observation, ObservedObject, near_boxes
 from perception.space import Region, Space
+from perception.views.joint import JointObservation
 from reconstruction.config import TabletopSamples
 from reconstruction.samples.draws import Draws, draws_of
 
@@ -60,6 +62,21 @@ class Scope:
     def supported(self) -> bool:
         """Whether a support plane was found: nothing of an object is below `floor`."""
         return self.observation.support is not None
+
+    def seen_nodes(self, spacing: float) -> np.ndarray:
+        """Points (M, 3) in the same cells around multiples of `spacing` as what is seen; of several views,
+        one a cell and view, which is worked out once."""
+        if not isinstance(self.observation, JointObservation):
+            return self.seen
+        labels, nodes = {item.label for item in self.items}, [item.guessed_points for item in self.items]
+        for view in self.observation.views:
+            for item in view.observation.objects:
+                if item.label in labels:
+                    known = view.observation.memo.setdefault(("nodes", spacing), {})
+                    if item.label not in known:
+                        known[item.label] = lattice_near_points(item.points, 0.0, spacing)
+                    nodes.append(known[item.label])
+        return np.concatenate(nodes)
 
     def near(self, points: np.ndarray, distance: float, share: float = 0.0) -> np.ndarray:
         """Which points (N, 3) lie near one of the scope's objects' boxes: (N,) bool.

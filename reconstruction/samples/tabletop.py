@@ -59,7 +59,7 @@ def draw_tabletop(
     guess, filled = structure(observation, space, config, np.concatenate(asked), obstacles, bodies)
     count = guess.shape[1]
     soft: list[Labelled] = []
-    fine, thin = [part.scope.seen for part in drawn], []
+    fine, thin = [part.scope.seen_nodes(config.fine_spacing) for part in drawn], []
     ends = np.cumsum([len(points) for points in asked])[:-1]
     for part, of_part, full in zip(drawn, np.split(guess, ends), np.split(filled, ends)):
         labelled, walls, columns = part.labelled(of_part, full)
@@ -71,7 +71,8 @@ def draw_tabletop(
         for points, own, doubt in obstacle_samples(obstacles, _origin(space, obstacles)):
             classes, unsure = np.full(len(points), own * (count - 1)), np.full(len(points), doubt)
             soft.append((points, labels.pair(config.labels, classes, unsure, count)))
-    ground = np.concatenate([part.scope.seen for part in drawn] + [part.foot for part in drawn])
+    seen = [part.scope.seen_nodes(config.finest_spacing) for part in drawn]
+    ground = np.concatenate(seen + [part.foot for part in drawn])
     covered = np.concatenate([p for part in drawn for p in (part.around.free, part.around.hidden)])
     hinges, gamma = hinge_points(config, np.concatenate(fine), ground, np.concatenate(thin), covered)
     empty = np.concatenate([p for part in drawn for p in (part.around.empty, part.below)])
