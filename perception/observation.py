@@ -118,7 +118,7 @@ class Observation:
     notes: tuple[str, ...] = field(default=())
     levels: tuple[float, ...] = (0.0,)
     other: OtherSurface = field(default_factory=OtherSurface)
-    seen: np.ndarray | None = None
+    seen: np.ndarray | None = field(default_factory=lambda: None)  # no attribute of the class: see joint.py
     guess: np.ndarray | None = None
 
     @cached_property

@@ -70,12 +70,14 @@ class Scope:
             return self.seen
         labels, nodes = {item.label for item in self.items}, [item.guessed_points for item in self.items]
         for view in self.observation.views:
-            for item in view.observation.objects:
-                if item.label in labels:
-                    known = view.observation.memo.setdefault(("nodes", spacing), {})
-                    if item.label not in known:
-                        known[item.label] = lattice_near_points(item.points, 0.0, spacing)
-                    nodes.append(known[item.label])
+            own = [item for item in view.observation.objects if item.label in labels]
+            known = view.observation.memo.setdefault(("nodes", spacing), {})
+            which = tuple(item.label for item in own)
+            if own and which not in known:
+                known[which] = lattice_near_points(
+                    np.concatenate([item.points for item in own]), 0.0, spacing
+                )
+            nodes += [known[which]] if own else []
         return np.concatenate(nodes)
 
     def near(self, points: np.ndarray, distance: float, share: float = 0.0) -> np.ndarray:
