@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from conftest import Shape, make_tabletop
+from scipy.spatial import cKDTree
 
 from perception.observing import observe
 from reconstruction.config import FusionConfig
@@ -23,6 +24,7 @@ LYING = Shape("lying cylinder", (0.035, 0.11), (0.0, 0.0, 0.035), 0.5)
 SOLIDS = {
     "can": CAN,
     "lying can": LYING,
+    "drum": Shape("cylinder", (0.12, 0.10), (0.10, 0.0, 0.05)),
     "ball": Shape("sphere", (0.04,), (0.0, 0.03, 0.04)),
     "carton": Shape("box", (0.06, 0.10, 0.12), (0.0, 0.0, 0.06), 0.3),
     "carton from its corner": Shape("box", (0.08, 0.08, 0.12), (0.0, 0.0, 0.06), 0.8),
@@ -116,7 +118,7 @@ def revolved(name: str) -> RevolvedEdges | None:
 
 @pytest.mark.parametrize("name", SOLIDS)
 def test_round_things_are_told_from_cartons(name: str) -> None:
-    assert (revolved(name) is not None) == (name in ("can", "lying can", "ball"))
+    assert (revolved(name) is not None) == (name in ("can", "lying can", "drum", "ball"))
 
 
 def ring(edges: RevolvedEdges, radius: float, angle: np.ndarray) -> np.ndarray:
@@ -177,6 +179,15 @@ def test_a_hidden_side_rises_and_falls_with_the_distance_to_it() -> None:
         np.testing.assert_allclose(reading.distance, -off, atol=0.001)
         if off > 0:
             np.testing.assert_allclose(edges.wall - reading.depth, -off, atol=0.001)
+
+
+def test_no_cell_of_a_wide_body_s_wall_is_left_out() -> None:
+    edges = revolved("drum")
+    assert edges is not None
+    side = edges.circles[np.hypot(*(edges.circles[:, :2] - edges.body.axis).T) > 0.117]
+    angle = np.linspace(0, 2 * np.pi, 500, endpoint=False)
+    apart = cKDTree(side).query(ring(edges, 0.12, angle))[0]
+    assert apart.max() < 0.0035  # within a cell of 5 mm, or the one beside it
 
 
 def test_what_lies_close_behind_a_handle_stays() -> None:

@@ -46,6 +46,9 @@ ROUND_SHARE = 0.75
 """At least this share of the measured points is on the body's circles."""
 LEAST_ARC = 0.25
 """They are seen from all over at least this share of a turn."""
+ARC = 0.004
+"""The surface is told all round by points no farther apart than this [m]: no cell of a lattice, between
+whose nodes a thin wall lies, is smaller."""
 COARSE = 3
 """Rays are asked at one cell in so many along radius and height."""
 BEYOND = 0.015
@@ -114,7 +117,7 @@ class RevolvedEdges:
         # Of the points in one cell of the half plane, the first speaks for all.
         cell = (radius / CELL).astype(np.int32) * 100_003 + np.floor(points[:, 2] / CELL).astype(np.int32)
         _, first, of_cell = np.unique(cell, return_index=True, return_inverse=True)
-        turned = _around(axis, radius[first], points[first, 2])
+        turned = _around(axis, radius[first], points[first, 2], ANGLES)
         whole = _passed(read, turned, radius[first]) <= PASSED_SHARE
         own = whole[of_cell]
         arc = np.unique((np.arctan2(*offset[own].T) * (ANGLES / 2 / np.pi)).astype(int))
@@ -142,7 +145,9 @@ class RevolvedEdges:
             fill(depth)
         no_steeper(depth)
         full = from_outside and hollow is None
-        return cls(edges, RoundBody(turn, axis, low, depth), turned[whole].reshape(-1, 3) @ turn, wall, full)
+        angles = max(ANGLES, int(np.ceil(2 * np.pi * radius.max() / ARC)))
+        circles = _around(axis, radius[first][whole], points[first, 2][whole], angles)
+        return cls(edges, RoundBody(turn, axis, low, depth), circles.reshape(-1, 3) @ turn, wall, full)
 
     def read(self, points: np.ndarray) -> Reading:
         """What the depth image says of points (N, 3) float32 [m], or the circles where it says nothing."""
@@ -213,10 +218,10 @@ class RevolvedEdges:
         return points - np.where(steep > STEEP, rays / np.maximum(steep, STEEP), normals) * below[:, None]
 
 
-def _around(axis: np.ndarray, radius: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Points (N, ANGLES, 3) float32 at radii and heights (N,) [m], all around the axis."""
-    angle = (np.arange(ANGLES) + 0.5) * (2 * np.pi / ANGLES)
-    points = np.empty((len(radius), ANGLES, 3), np.float32)
+def _around(axis: np.ndarray, radius: np.ndarray, height: np.ndarray, angles: int) -> np.ndarray:
+    """Points (N, angles, 3) float32 at radii and heights (N,) [m], all around the axis."""
+    angle = (np.arange(angles) + 0.5) * (2 * np.pi / angles)
+    points = np.empty((len(radius), angles, 3), np.float32)
     points[..., 0] = axis[0] + radius[:, None] * np.cos(angle)
     points[..., 1] = axis[1] + radius[:, None] * np.sin(angle)
     points[..., 2] = height[:, None]
@@ -233,5 +238,5 @@ def _empty(read: Read, axis: np.ndarray, low: float, shape: np.ndarray) -> np.nd
     """Cells (R, Z) of the half plane, from a height on, that are empty all round; shape: of coarse cells."""
     radius, height = ((np.arange(n) + 0.5) * COARSE * CELL for n in shape)
     places = np.stack(np.meshgrid(radius, low + height, indexing="ij"), -1).reshape(-1, 2)
-    passed = _passed(read, _around(axis, *places.T), places[:, 0]) > PASSED_SHARE
+    passed = _passed(read, _around(axis, places[:, 0], places[:, 1], ANGLES), places[:, 0]) > PASSED_SHARE
     return passed.reshape(shape).repeat(COARSE, 0).repeat(COARSE, 1)

@@ -20,7 +20,7 @@ from reconstruction.surface.vertices_apart import LEAST_VALUE
 
 GRAZED = 0.0015
 """So far into free space [m] a wall may reach: no nearer is a thin wall's place known."""
-NEAR, NEAR_GRAZED = 2, 0.0025
+NEAR, NEAR_GRAZED = 2, 0.004
 """A hole with no place farther than so many nodes from its sides is a slip of the lattice's, and its wall may
 reach so far into free space [m]: as far as the lattice's nodes are apart."""
 FARTHER = 0.35
