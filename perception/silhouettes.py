@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mapping.threads import map_in_threads
 from perception.thin_plate import block_means, thin_plate
 
 SEEN_THROUGH = 0.25
@@ -34,23 +35,27 @@ def silhouettes(
     kept = cleaned.reshape(-1)
     measured = np.isfinite(depth).reshape(-1)
     guess = np.full(depth.shape, np.nan, np.float32)
-    found: dict[int, np.ndarray] = {}
-    for label, whole in masks.items():
+
+    def look(label: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        whole = masks[label]
         surface = kept[whole] > 0
         own, lost = whole[surface], whole[~surface]
         seen = measured[lost]
         if len(own) < least:
             everything = np.count_nonzero(seen) > SEEN_THROUGH_WHOLE * len(whole)
-            found[label] = lost if everything else lost[~seen]
-            continue
+            return lost if everything else lost[~seen], lost[:0], np.empty(0, np.float32)
         inside = _inside_outline(own, lost, depth.shape)
         through = seen & inside
         if np.count_nonzero(through) <= SEEN_THROUGH * len(whole):
             through[:] = False
-        found[label] = lost[~seen | through]
         hole = lost[(~seen & inside) | through]
-        if len(hole):
-            guess.reshape(-1)[hole] = _filled(depth, own, hole)
+        filled = _filled(depth, own, hole) if len(hole) else np.empty(0, np.float32)
+        return lost[~seen | through], hole, filled
+
+    found: dict[int, np.ndarray] = {}
+    for label, (pixels, hole, filled) in zip(masks, map_in_threads(look, masks)):
+        found[label] = pixels
+        guess.reshape(-1)[hole] = filled
     return {label: pixels for label, pixels in found.items() if len(pixels)}, guess
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapping.compiled import compiled
-from mapping.threads import map_in_threads
+from mapping.threads import Threads, map_in_threads
 from perception.camera import Camera
 from perception.grouping import group_by_label
 
@@ -67,7 +67,12 @@ def surface_planes(
     focal = min(camera.K[0, 0], camera.K[1, 1])
     for part, own_fit in zip(parts, map_in_threads(lambda part: _fitted(part, noise, radius, focal), parts)):
         fitted[:, part.which] = own_fit
-    return _in_space(fitted, pixels, camera.width, camera.K.astype(np.float32)), noise
+    K = camera.K.astype(np.float32)
+    halves = Threads().split(len(pixels))
+    planes = map_in_threads(
+        lambda part: _in_space(np.ascontiguousarray(fitted[:, part]), pixels[part], camera.width, K), halves
+    )
+    return np.concatenate([np.empty((0, 4), np.float32), *planes]), noise
 
 
 @dataclass(frozen=True)
