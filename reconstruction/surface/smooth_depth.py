@@ -67,12 +67,12 @@ def surface_planes(
     focal = min(camera.K[0, 0], camera.K[1, 1])
     for part, own_fit in zip(parts, map_in_threads(lambda part: _fitted(part, noise, radius, focal), parts)):
         fitted[:, part.which] = own_fit
-    K = camera.K.astype(np.float32)
+    planes, K = np.empty((len(pixels), 4), np.float32), camera.K.astype(np.float32)
     halves = Threads().split(len(pixels))
-    planes = map_in_threads(
-        lambda part: _in_space(np.ascontiguousarray(fitted[:, part]), pixels[part], camera.width, K), halves
+    map_in_threads(
+        lambda part: _in_space(fitted, pixels, camera.width, K, part.start, part.stop, planes), halves
     )
-    return np.concatenate([np.empty((0, 4), np.float32), *planes]), noise
+    return planes, noise
 
 
 @dataclass(frozen=True)
@@ -190,11 +190,18 @@ def _planes(
 
 
 @compiled
-def _in_space(smooth: np.ndarray, pixels: np.ndarray, width: int, K: np.ndarray) -> np.ndarray:
-    """Planes (N, 4) from inverse depth and its slopes (3, N) at pixels (N,): 1 / z = smooth + gu (u - u0) +
-    gv (v - v0) is a plane a . x = 1 of space."""
-    planes = np.empty((len(pixels), 4), np.float32)
-    for n in range(len(pixels)):
+def _in_space(
+    smooth: np.ndarray,
+    pixels: np.ndarray,
+    width: int,
+    K: np.ndarray,
+    first: int,
+    last: int,
+    planes: np.ndarray,
+) -> None:
+    """Fill planes (N, 4) of pixels first..last of (N,) from inverse depth and its slopes (3, N) there:
+    1 / z = smooth + gu (u - u0) + gv (v - v0) is a plane a . x = 1 of space."""
+    for n in range(first, last):
         row = pixels[n] // width
         u, v = np.float32(pixels[n] - row * width), np.float32(row)
         gu, gv = smooth[1, n], smooth[2, n]
@@ -205,7 +212,6 @@ def _in_space(smooth: np.ndarray, pixels: np.ndarray, width: int, K: np.ndarray)
         length = np.sqrt(x * x + y * y + z * z)
         planes[n, 0], planes[n, 1], planes[n, 2] = x / length, y / length, z / length
         planes[n, 3] = np.float32(1) / length
-    return planes
 
 
 def _noise(bends: np.ndarray) -> float:
