@@ -124,6 +124,8 @@ def object_solid(
     refine, start, edges = 1, np.zeros(3, int), None
     if surface is not None and seen is not None and min(log_odds.shape) > 1:
         edges = surface.edges(index)
+        if isinstance(shape, RevolvedEdges):
+            shape = shape.ended(log_odds, corner, field.spacing)
         log_odds, start = fuse(log_odds, corner, field.spacing, shape or edges, seen, config.fusion)
         refine = config.fusion.refine
     elif seen is not None and config.keep_seen:

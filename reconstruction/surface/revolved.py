@@ -12,7 +12,7 @@ Points are in the table frame, its z axis vertical; turned, the axis of revoluti
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -33,6 +33,7 @@ from reconstruction.surface.seen_surface import Edges
 from reconstruction.surface.slanted_axis import slanted_axis
 from reconstruction.surface.thin_walls import thin_walls
 from reconstruction.surface.unseen_cavity import cavity, fill, hollow_out
+from reconstruction.surface.unseen_end import with_flat_ends
 from reconstruction.surface.vertical_axis import vertical_axis
 
 ANGLES = 24
@@ -148,6 +149,12 @@ class RevolvedEdges:
         angles = max(ANGLES, int(np.ceil(2 * np.pi * radius.max() / ARC)))
         circles = _around(axis, radius[first][whole], points[first, 2][whole], angles)
         return cls(edges, RoundBody(turn, axis, low, depth), circles.reshape(-1, 3) @ turn, wall, full)
+
+    def ended(self, log_odds: np.ndarray, corner: np.ndarray, spacing: float) -> RevolvedEdges:
+        """The same with flat ends where nobody saw them, by the map's log odds (nx, ny, nz) at
+        corner + spacing * (i, j, k) [m, table frame]."""
+        body, places = with_flat_ends(self.body, log_odds, corner, spacing, ARC)
+        return replace(self, body=body, circles=np.concatenate([self.circles, places]))
 
     def read(self, points: np.ndarray) -> Reading:
         """What the depth image says of points (N, 3) float32 [m], or the circles where it says nothing."""

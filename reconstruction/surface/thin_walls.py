@@ -80,6 +80,13 @@ def thin_walls(depth: np.ndarray) -> Opening | None:
     return Opening(up, bool(floor >= 0 and last - floor < SHALLOW * (last - bottom)))
 
 
+def outermost(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of each height of a table (R, Z) of depths [m]: the outermost cell of what may be the body (Z,), -1
+    where there is none, and whether its surface is known there (Z,)."""
+    sides = _sides(depth)
+    return sides.outer, sides.outside & (sides.outer >= 0)
+
+
 @compiled
 def _sides(depth: np.ndarray) -> _Sides:
     rows, columns = depth.shape

@@ -1,0 +1,132 @@
+"""The end of a round body that nobody saw: flat, where the map says that the body ends.
+
+A mug that lies shows its side and its mouth; its bottom is the map's guess, which is as rough as the samples
+it was fitted to, and cups, cans and bottles have flat ends. Knows a body's table of depths and a lattice of
+log odds; knows nothing of images or meshes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from reconstruction.surface.profile_depth import CELL, EMPTY, THINNEST, UNKNOWN
+from reconstruction.surface.refined import values_at
+from reconstruction.surface.round_body import RoundBody
+from reconstruction.surface.thin_walls import outermost
+from reconstruction.surface.unseen_cavity import DEEP
+
+UNSEEN, WITHIN = 0.8, 0.9
+"""An end was not seen where more than the first share of the table's row beside it is unknown, within the
+second share of the radius."""
+CLOSE = 3
+"""Where it is known not to go on so many rows beyond, it ends there: it stands on a table."""
+AMONG = 3
+"""The radius at an end is the median over so many rows."""
+RINGS, ANGLES = 6, 12
+"""The map is asked at so many places on a cross-section."""
+LIMIT = 2.0
+"""Log odds beyond this do not count for more."""
+
+
+def with_flat_ends(
+    body: RoundBody, log_odds: np.ndarray, corner: np.ndarray, spacing: float, apart: float
+) -> tuple[RoundBody, np.ndarray]:
+    """The same body with flat ends where it has ends that nobody saw, and these are near; and places (M, 3)
+    float32 [m, table frame] on them, `apart` [m] from each other.
+
+    log_odds: (nx, ny, nz) of the map at corner + spacing * (i, j, k) [m, table frame].
+    """
+    table, places = body.table.copy(), [np.empty((0, 3), np.float32)]
+    for up in (False, True):
+        rows = table[:, ::-1] if up else table
+        place = _unseen_end(rows)
+        if place is None:
+            continue
+        first, radius = place
+        end = known = _known_end(rows, first, radius)
+        if known is None or first - known > CLOSE:
+            beyond = np.arange(first - 1, -1 if known is None else int(np.ceil(known)) - 1, -1)
+            heights = body.height + CELL * (table.shape[1] - 1 - beyond if up else beyond)
+            filled = _filled(body, log_odds, corner, spacing, heights, CELL * radius)
+            end = _crossed(filled, first, known)
+        if end is not None:
+            _put_end(rows, radius, end)
+            height = body.height + CELL * (table.shape[1] - 1 - end if up else end)
+            places.append(_disc(body, CELL * radius, height, apart))
+    return replace(body, table=table), np.concatenate(places)
+
+
+def _unseen_end(rows: np.ndarray) -> tuple[int, int] | None:
+    """The lowest height at which the outside of a body with a table (R, Z) was seen, and its radius there, in
+    cells; None where it is seen to end there."""
+    outer, seen = outermost(rows)
+    at = np.flatnonzero(seen)
+    if len(at) == 0 or at[0] == 0:
+        return None
+    first, radius = int(at[0]), int(np.median(outer[at[:AMONG]]))
+    beside = rows[: max(int(WITHIN * radius), 1), first - 1]
+    return (first, radius) if (beside >= UNKNOWN).mean() > UNSEEN else None
+
+
+def _known_end(rows: np.ndarray, first: int, radius: int) -> float | None:
+    """Where the body is known to have ended below a height [cells], None where that is not known."""
+    for c in range(first - 1, -1, -1):
+        line = rows[: max(int(WITHIN * radius), 1), c]
+        if (line < 0).mean() > UNSEEN:
+            return c - float(np.median(line)) / CELL if np.median(line) > -CELL else float(c + 1)
+    return None
+
+
+def _crossed(filled: np.ndarray, first: int, known: float | None) -> float | None:
+    """Where log odds (H,) at the heights below `first` cross 0 [cells], or where the body is known to end;
+    None where neither is."""
+    empty = np.flatnonzero(filled <= 0)
+    if len(empty) == 0:
+        return known
+    last = int(empty[0])
+    if last == 0:
+        return float(first)
+    return first - last - float(filled[last - 1] / (filled[last - 1] - filled[last]))
+
+
+def _disc(body: RoundBody, radius: float, height: float, apart: float) -> np.ndarray:
+    """Places (M, 3) float32 on a disc across the axis [m]."""
+    along = np.arange(-radius, radius + apart, apart)
+    x, y = np.meshgrid(along, along)
+    within = np.hypot(x, y) < radius
+    x, y = x[within] + body.axis[0], y[within] + body.axis[1]
+    return (np.stack([x, y, np.full(len(x), height)], 1) @ body.turn).astype(np.float32)
+
+
+def _filled(
+    body: RoundBody,
+    log_odds: np.ndarray,
+    corner: np.ndarray,
+    spacing: float,
+    heights: np.ndarray,
+    radius: float,
+) -> np.ndarray:
+    """The mean log odds (H,) of discs across the axis at heights (H,) [m], no more than LIMIT each."""
+    ring = WITHIN * radius * np.sqrt((np.arange(RINGS) + 0.5) / RINGS)
+    angle = np.arange(ANGLES) * (2 * np.pi / ANGLES)
+    x = body.axis[0] + ring[:, None] * np.cos(angle)
+    y = body.axis[1] + ring[:, None] * np.sin(angle)
+    places = np.empty((len(heights), RINGS, ANGLES, 3))
+    places[..., 0], places[..., 1], places[..., 2] = x, y, heights[:, None, None]
+    nodes = (places.reshape(-1, 3) @ body.turn - corner) / spacing
+    inside = ((nodes >= 0) & (nodes <= np.array(log_odds.shape) - 1)).all(1)
+    odds = np.full(len(nodes), -LIMIT)
+    odds[inside] = np.clip(values_at(log_odds, nodes[inside]), -LIMIT, LIMIT)
+    return odds.reshape(len(heights), -1).mean(1)
+
+
+def _put_end(rows: np.ndarray, radius: int, end: float) -> None:
+    """Let the body go on as wide as it is down to a flat end [cells], in place, where the table (R, Z) does
+    not know; right above the end that is a floor."""
+    r, c = np.indices(rows.shape)
+    depth = np.clip(CELL * np.minimum(c - end, radius - r), EMPTY, DEEP)
+    last = int(end) + int(np.ceil(THINNEST / CELL))
+    unknown = (rows >= UNKNOWN) & (c <= last)
+    rows[unknown] = depth[unknown]

@@ -1,0 +1,81 @@
+"""Ends of round bodies that nobody saw."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from reconstruction.surface.profile_depth import CELL, EMPTY, UNKNOWN
+from reconstruction.surface.round_body import RoundBody
+from reconstruction.surface.unseen_end import with_flat_ends
+
+RADIUS, SEEN = 0.04, 0.05
+"""Of a body, and the height below which nothing of it was seen [m]."""
+ROWS, COLUMNS = 30, 60
+TURN = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]], np.float32)
+"""It lies: its axis runs along x."""
+SPACING = 0.005
+CORNER = np.array([-0.02, -0.06, -0.06])
+NODES = CORNER + SPACING * np.moveaxis(np.indices((36, 25, 25)), 0, -1)
+
+
+TOP = CELL * (COLUMNS - 1)
+
+
+def body(known: float | None = None, over: bool = False) -> RoundBody:
+    """A can whose side was seen from SEEN up to its lid; known: its end was not, but where nothing is of it;
+    over: turned over."""
+    radius, height = CELL * np.arange(ROWS)[:, None], CELL * np.arange(COLUMNS)[None]
+    side = np.clip(RADIUS - radius, EMPTY, 0.0025) + 0 * height
+    table = np.where(height >= SEEN, np.minimum(side, 0.1 - height), UNKNOWN)
+    if known is not None:
+        table = np.where(height < known, np.maximum(height - known, EMPTY), table)
+    table = np.maximum(table, EMPTY).astype(np.float32)
+    return RoundBody(TURN, np.zeros(2), 0.0, table[:, ::-1].copy() if over else table)
+
+
+def log_odds(end: float, over: bool = False) -> np.ndarray:
+    """A map in which the body ends at a height [m], as rough as maps are."""
+    rough = 0.8 * np.random.default_rng(0).normal(size=NODES.shape[:3])
+    height = TOP - NODES[..., 0] if over else NODES[..., 0]
+    return (300 * (height - end) + rough).astype(np.float32)
+
+
+def lying(radius: float, height: float) -> np.ndarray:
+    angle = np.linspace(0, 2 * np.pi, 12)
+    around = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(12, height)], 1)
+    return (around @ TURN).astype(np.float32)
+
+
+@pytest.mark.parametrize("over", [False, True])
+def test_an_end_is_flat_where_the_map_ends_on_average(over: bool) -> None:
+    rough = body(over=over)
+    found, places = with_flat_ends(rough, log_odds(0.042, over), CORNER, SPACING, 0.004)
+
+    def depth(of: RoundBody, radius: float, height: float) -> np.ndarray:
+        return of.depth(lying(radius, TOP - height if over else height))
+
+    ends = TOP - places[:, 0] if over else places[:, 0]
+    assert np.ptp(ends) < 1e-6
+    assert ends[0] == pytest.approx(0.042, abs=0.002)
+    assert np.hypot(places[:, 1], places[:, 2]).max() == pytest.approx(RADIUS, abs=0.003)
+    for radius in (0.005, 0.02, 0.034):
+        assert (depth(found, radius, ends[0] + 0.0015) > 0).all()
+        assert (depth(found, radius, ends[0] - 0.0015) < 0).all()
+        assert (depth(rough, radius, 0.042) >= UNKNOWN).all()
+    assert (depth(found, RADIUS - 0.002, 0.046) > 0).all()  # its side goes on
+    assert (depth(found, RADIUS + 0.003, 0.046) < 0).all()
+
+
+def test_what_stands_on_a_table_ends_there() -> None:
+    found, places = with_flat_ends(body(known=0.046), log_odds(0.055), CORNER, SPACING, 0.004)
+    np.testing.assert_allclose(places[:, 0], 0.046, atol=0.0005)
+    assert (found.depth(lying(0.02, 0.0475)) > 0).all()
+
+
+@pytest.mark.parametrize(("known", "end"), [(0.05, 0.03), (None, -0.03)])
+def test_seen_ends_and_far_ones_stay(known: float | None, end: float) -> None:
+    before = body(known)
+    found, places = with_flat_ends(before, log_odds(end), CORNER, SPACING, 0.004)
+    assert len(places) == 0
+    np.testing.assert_array_equal(found.table, before.table)
