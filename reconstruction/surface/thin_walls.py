@@ -60,10 +60,10 @@ def thin_walls(depth: np.ndarray) -> Opening | None:
     What is taken to be empty behind a wall is no deeper than `DEEP`.
     """
     sides = _sides(depth)
-    hollow, both = np.flatnonzero(sides.inner > 0), sides.outside & sides.inside
+    hollow = np.flatnonzero(sides.inner > 0)
     if len(hollow) == 0:
         return None
-    thick = float(np.quantile(sides.thick[both], LEAST_THICK)) if both.any() else 0.0
+    thick = _thickness(sides)
     first, last = hollow[0], hollow[-1]
     down, up = (bool((part < 0).all()) for part in (depth[0, :first], depth[0, last + 1 :]))
     if thick > THICK or up == down:  # a ring, or nothing that opens
@@ -80,11 +80,22 @@ def thin_walls(depth: np.ndarray) -> Opening | None:
     return Opening(up, bool(floor >= 0 and last - floor < SHALLOW * (last - bottom)))
 
 
+def _thickness(sides: _Sides) -> float:
+    """How thick walls are [m] of which both sides were seen, 0 where none was."""
+    both = sides.outside & sides.inside
+    return float(np.quantile(sides.thick[both], LEAST_THICK)) if both.any() else 0.0
+
+
 def outermost(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of each height of a table (R, Z) of depths [m]: the outermost cell of what may be the body (Z,), -1
     where there is none, and whether its surface is known there (Z,)."""
     sides = _sides(depth)
     return sides.outer, sides.outside & (sides.outer >= 0)
+
+
+def is_ring(depth: np.ndarray) -> bool:
+    """Whether the walls of a body with a table (R, Z) of depths [m] are as thick as a roll of tape's."""
+    return _thickness(_sides(depth)) > THICK
 
 
 @compiled

@@ -14,7 +14,7 @@ import numpy as np
 from reconstruction.surface.profile_depth import CELL, EMPTY, THINNEST, UNKNOWN
 from reconstruction.surface.refined import values_at
 from reconstruction.surface.round_body import RoundBody
-from reconstruction.surface.thin_walls import outermost
+from reconstruction.surface.thin_walls import is_ring, outermost
 from reconstruction.surface.unseen_cavity import DEEP
 
 UNSEEN, WITHIN = 0.8, 0.9
@@ -22,8 +22,10 @@ UNSEEN, WITHIN = 0.8, 0.9
 second share of the radius."""
 CLOSE = 3
 """Where it is known not to go on so many rows beyond, it ends there: it stands on a table."""
-AMONG = 3
-"""The radius at an end is the median over so many rows."""
+AMONG = 6
+"""Radius and taper at an end are those of so many rows beside it."""
+STEEPEST = 2.0
+"""Bodies taper by no more than this, in radius a height: what does is near its end."""
 RINGS, ANGLES = 6, 12
 """The map is asked at so many places on a cross-section."""
 LIMIT = 2.0
@@ -39,12 +41,14 @@ def with_flat_ends(
     log_odds: (nx, ny, nz) of the map at corner + spacing * (i, j, k) [m, table frame].
     """
     table, places = body.table.copy(), [np.empty((0, 3), np.float32)]
+    if is_ring(table):
+        return body, places[0]
     for up in (False, True):
         rows = table[:, ::-1] if up else table
         place = _unseen_end(rows)
         if place is None:
             continue
-        first, radius = place
+        first, radius, taper = place
         end = known = _known_end(rows, first, radius)
         if known is None or first - known > CLOSE:
             beyond = np.arange(first - 1, -1 if known is None else int(np.ceil(known)) - 1, -1)
@@ -52,22 +56,25 @@ def with_flat_ends(
             filled = _filled(body, log_odds, corner, spacing, heights, CELL * radius)
             end = _crossed(filled, first, known)
         if end is not None:
-            _put_end(rows, radius, end)
+            _put_end(rows, first, radius, taper, end)
             height = body.height + CELL * (table.shape[1] - 1 - end if up else end)
-            places.append(_disc(body, CELL * radius, height, apart))
+            places.append(_disc(body, CELL * (radius - taper * max(first - end, 0)), height, apart))
     return replace(body, table=table), np.concatenate(places)
 
 
-def _unseen_end(rows: np.ndarray) -> tuple[int, int] | None:
-    """The lowest height at which the outside of a body with a table (R, Z) was seen, and its radius there, in
-    cells; None where it is seen to end there."""
+def _unseen_end(rows: np.ndarray) -> tuple[int, int, float] | None:
+    """The lowest height at which the outside of a body with a table (R, Z) was seen, its radius there, in
+    cells, and how much less that becomes a cell downwards; None where it is seen to end there."""
     outer, seen = outermost(rows)
     at = np.flatnonzero(seen)
     if len(at) == 0 or at[0] == 0:
         return None
-    first, radius = int(at[0]), int(np.median(outer[at[:AMONG]]))
+    first, near = int(at[0]), at[:AMONG]
+    taper = float(np.clip((outer[near[-1]] - outer[first]) / max(near[-1] - first, 1), 0, STEEPEST))
+    radius = int(np.median(outer[near] - taper * (near - first)))
     beside = rows[: max(int(WITHIN * radius), 1), first - 1]
-    return (first, radius) if (beside >= UNKNOWN).mean() > UNSEEN else None
+    unseen = (beside >= UNKNOWN).mean() > UNSEEN
+    return (first, radius, taper) if unseen else None
 
 
 def _known_end(rows: np.ndarray, first: int, radius: int) -> float | None:
@@ -122,11 +129,12 @@ def _filled(
     return odds.reshape(len(heights), -1).mean(1)
 
 
-def _put_end(rows: np.ndarray, radius: int, end: float) -> None:
-    """Let the body go on as wide as it is down to a flat end [cells], in place, where the table (R, Z) does
-    not know; right above the end that is a floor."""
+def _put_end(rows: np.ndarray, first: int, radius: int, taper: float, end: float) -> None:
+    """Let the body go on from the height `first` down to a flat end [cells], in place, as it tapers, where
+    the table (R, Z) does not know; right above the end that is a floor."""
     r, c = np.indices(rows.shape)
-    depth = np.clip(CELL * np.minimum(c - end, radius - r), EMPTY, DEEP)
+    beside = (radius - taper * np.maximum(first - c, 0) - r) / np.hypot(1, taper)
+    depth = np.clip(CELL * np.minimum(c - end, beside), EMPTY, DEEP)
     last = int(end) + int(np.ceil(THINNEST / CELL))
     unknown = (rows >= UNKNOWN) & (c <= last)
     rows[unknown] = depth[unknown]
