@@ -22,11 +22,11 @@ NODES = CORNER + SPACING * np.moveaxis(np.indices((36, 25, 25)), 0, -1)
 TOP = CELL * (COLUMNS - 1)
 
 
-def body(known: float | None = None, over: bool = False) -> RoundBody:
+def body(known: float | None = None, over: bool = False, taper: float = 0.0) -> RoundBody:
     """A can whose side was seen from SEEN up to its lid; known: its end was not, but where nothing is of it;
-    over: turned over."""
+    over: turned over; taper: it is so much narrower below SEEN than at it, and wider above [m/m]."""
     radius, height = CELL * np.arange(ROWS)[:, None], CELL * np.arange(COLUMNS)[None]
-    side = np.clip(RADIUS - radius, EMPTY, 0.0025) + 0 * height
+    side = np.clip(RADIUS + taper * (height - SEEN) - radius, EMPTY, 0.0025)
     table = np.where(height >= SEEN, np.minimum(side, 0.1 - height), UNKNOWN)
     if known is not None:
         table = np.where(height < known, np.maximum(height - known, EMPTY), table)
@@ -65,6 +65,24 @@ def test_an_end_is_flat_where_the_map_ends_on_average(over: bool) -> None:
         assert (depth(rough, radius, 0.042) >= UNKNOWN).all()
     assert (depth(found, RADIUS - 0.002, 0.046) > 0).all()  # its side goes on
     assert (depth(found, RADIUS + 0.003, 0.046) < 0).all()
+
+
+def test_a_ball_goes_on_as_narrow_as_it_becomes() -> None:
+    found, places = with_flat_ends(body(taper=0.5), log_odds(0.040), CORNER, SPACING, 0.004)
+    height = float(places[0, 0]) + 0.002
+    radius = RADIUS - 0.5 * (SEEN - height)
+    assert (found.depth(lying(radius - 0.003, height)) > 0).all()
+    assert (found.depth(lying(radius + 0.003, height)) < 0).all()
+
+
+@pytest.mark.parametrize(("wall", "closed"), [(0.016, False), (0.005, True)])
+def test_mugs_get_a_bottom_and_rolls_of_tape_none(wall: float, closed: bool) -> None:
+    radius, height = CELL * np.arange(ROWS)[:, None], CELL * np.arange(COLUMNS)[None]
+    across = np.minimum(RADIUS - radius, radius - (RADIUS - wall))
+    table = np.where(height < SEEN, UNKNOWN, np.minimum(np.maximum(across, EMPTY), 0.1 - height))
+    seen = RoundBody(TURN, np.zeros(2), 0.0, table.astype(np.float32))
+    _, places = with_flat_ends(seen, log_odds(0.042), CORNER, SPACING, 0.004)
+    assert (len(places) > 0) == closed
 
 
 def test_what_stands_on_a_table_ends_there() -> None:
