@@ -78,11 +78,21 @@ def test_a_ball_goes_on_as_narrow_as_it_becomes() -> None:
 @pytest.mark.parametrize(("wall", "closed"), [(0.016, False), (0.005, True)])
 def test_mugs_get_a_bottom_and_rolls_of_tape_none(wall: float, closed: bool) -> None:
     radius, height = CELL * np.arange(ROWS)[:, None], CELL * np.arange(COLUMNS)[None]
-    across = np.minimum(RADIUS - radius, radius - (RADIUS - wall))
-    table = np.where(height < SEEN, UNKNOWN, np.minimum(np.maximum(across, EMPTY), 0.1 - height))
+    across = np.maximum(np.minimum(RADIUS - radius, radius - (RADIUS - wall)), EMPTY)
+    across = np.where((height < SEEN + 0.004) & (radius < RADIUS - wall / 2), UNKNOWN, across)
+    table = np.where(height < SEEN, UNKNOWN, np.minimum(across, 0.1 - height))
     seen = RoundBody(TURN, np.zeros(2), 0.0, table.astype(np.float32))
     _, places = with_flat_ends(seen, log_odds(0.042), CORNER, SPACING, 0.004)
     assert (len(places) > 0) == closed
+
+
+def test_a_bowl_upside_down_stays_open() -> None:
+    full = body()
+    inside = (CELL * np.arange(ROWS)[:, None] < RADIUS - 0.005) & (CELL * np.arange(COLUMNS)[None] >= SEEN)
+    table = np.where(inside & (CELL * np.arange(COLUMNS)[None] < 0.095), np.float32(-0.0025), full.table)
+    bowl = RoundBody(TURN, np.zeros(2), 0.0, table)
+    assert len(with_flat_ends(full, log_odds(0.042), CORNER, SPACING, 0.004)[1])
+    assert len(with_flat_ends(bowl, log_odds(0.042), CORNER, SPACING, 0.004)[1]) == 0
 
 
 def test_what_stands_on_a_table_ends_there() -> None:

@@ -20,6 +20,8 @@ from reconstruction.surface.unseen_cavity import DEEP
 UNSEEN, WITHIN = 0.8, 0.9
 """An end was not seen where more than the first share of the table's row beside it is unknown, within the
 second share of the radius."""
+OPEN = 0.5
+"""Where more than this share of the row is empty, the body opens to that end: a bowl upside down."""
 CLOSE = 3
 """Where it is known not to go on so many rows beyond, it ends there: it stands on a table."""
 AMONG = 6
@@ -64,7 +66,7 @@ def with_flat_ends(
 
 def _unseen_end(rows: np.ndarray) -> tuple[int, int, float] | None:
     """The lowest height at which the outside of a body with a table (R, Z) was seen, its radius there, in
-    cells, and how much less that becomes a cell downwards; None where it is seen to end there."""
+    cells, and how much less that becomes a cell downwards; None where it is seen to end there, or opens."""
     outer, seen = outermost(rows)
     at = np.flatnonzero(seen)
     if len(at) == 0 or at[0] == 0:
@@ -72,9 +74,10 @@ def _unseen_end(rows: np.ndarray) -> tuple[int, int, float] | None:
     first, near = int(at[0]), at[:AMONG]
     taper = float(np.clip((outer[near[-1]] - outer[first]) / max(near[-1] - first, 1), 0, STEEPEST))
     radius = int(np.median(outer[near] - taper * (near - first)))
-    beside = rows[: max(int(WITHIN * radius), 1), first - 1]
-    unseen = (beside >= UNKNOWN).mean() > UNSEEN
-    return (first, radius, taper) if unseen else None
+    within = slice(max(int(WITHIN * radius), 1))
+    unseen = (rows[within, first - 1] >= UNKNOWN).mean() > UNSEEN
+    opening = (rows[within, first] < 0).mean() > OPEN
+    return (first, radius, taper) if unseen and not opening else None
 
 
 def _known_end(rows: np.ndarray, first: int, radius: int) -> float | None:
