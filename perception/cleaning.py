@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from mapping.threads import map_in_threads
 from perception.camera import Camera
 from perception.clusters import main_cluster
 from perception.config import PerceptionConfig
@@ -47,7 +46,7 @@ def clean_labels(
         )
 
     cleaned = np.zeros_like(labels)
-    for label, pixels in zip(measured, map_in_threads(own_of, measured)):
+    for label, pixels in zip(measured, map(own_of, measured)):
         cleaned.reshape(-1)[pixels] = label
     return cleaned
 

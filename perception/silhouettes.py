@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from mapping.threads import map_in_threads
 from perception.thin_plate import block_means, thin_plate
 
 SEEN_THROUGH = 0.25
@@ -53,7 +52,7 @@ def silhouettes(
         return lost[~seen | through], hole, filled
 
     found: dict[int, np.ndarray] = {}
-    for label, (pixels, hole, filled) in zip(masks, map_in_threads(look, masks)):
+    for label, (pixels, hole, filled) in zip(masks, map(look, masks)):
         found[label] = pixels
         guess.reshape(-1)[hole] = filled
     return {label: pixels for label, pixels in found.items() if len(pixels)}, guess

@@ -12,7 +12,6 @@ from functools import cached_property
 import numpy as np
 
 from mapping.compiled import compiled
-from mapping.threads import Threads, map_in_threads
 from perception.camera import Camera, invert_rigid
 from perception.observation import Observation
 from reconstruction.surface.image_edges import BORDER, box_of, edge_pixels, nearest_of
@@ -88,8 +87,7 @@ class SeenSurface:
         own, noise = surface_planes(depth, owner + 3, pixels, camera)
         T = invert_rigid(observation.T_table_camera)
         planes = np.zeros((depth.size, 4), np.float32)
-        to_camera, halves = T.astype(np.float32), Threads().split(len(pixels))
-        map_in_threads(lambda part: _put_planes(planes, pixels[part], own[part], to_camera), halves)
+        _put_planes(planes, pixels, own, T.astype(np.float32))
         boxes = [box_of(item.pixels, camera.width) for item in observation.objects]
         return cls(camera, T, owner, depth, planes, noise, floors, boxes)
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from mapping.compiled import compiled
-from mapping.threads import Threads, map_in_threads
 from perception.camera import Camera
 from perception.grouping import group_by_label
 
@@ -52,26 +51,22 @@ def surface_planes(
     """
     inverse = (1 / depth).astype(np.float32, copy=False)
     own = inverse.reshape(-1)[pixels]
-    groups = group_by_label(labels.reshape(-1)[pixels].astype(np.uint16))
-
-    def part_of(group: tuple[int, np.ndarray]) -> tuple[_Part, list[np.ndarray]]:
-        part = _Part.of(inverse, labels, group[0], pixels[group[1]], group[1])
-        return part, [part.bends(*step) for step in STEPS]
-
-    found = map_in_threads(part_of, groups)
-    parts = [part for part, _ in found]
-    noise = _noise(np.concatenate([np.empty(0, np.float32), *(bend for _, own in found for bend in own)]))
+    parts = [
+        _Part.of(inverse, labels, label, pixels[mine], mine)
+        for label, mine in group_by_label(labels.reshape(-1)[pixels].astype(np.uint16))
+    ]
+    bends = np.concatenate(
+        [np.empty(0, np.float32), *(part.bends(*step) for part in parts for step in STEPS)]
+    )
+    noise = _noise(bends)
     middle = float(np.median(own)) if len(own) else 1.0
     radius = RADIUS if noise / middle**2 > SMOOTH_ABOVE else 1
     fitted = np.empty((3, len(pixels)), np.float32)
     focal = min(camera.K[0, 0], camera.K[1, 1])
-    for part, own_fit in zip(parts, map_in_threads(lambda part: _fitted(part, noise, radius, focal), parts)):
-        fitted[:, part.which] = own_fit
+    for part in parts:
+        fitted[:, part.which] = _fitted(part, noise, radius, focal)
     planes, K = np.empty((len(pixels), 4), np.float32), camera.K.astype(np.float32)
-    halves = Threads().split(len(pixels))
-    map_in_threads(
-        lambda part: _in_space(fitted, pixels, camera.width, K, part.start, part.stop, planes), halves
-    )
+    _in_space(fitted, pixels, camera.width, K, planes)
     return planes, noise
 
 
@@ -190,18 +185,10 @@ def _planes(
 
 
 @compiled
-def _in_space(
-    smooth: np.ndarray,
-    pixels: np.ndarray,
-    width: int,
-    K: np.ndarray,
-    first: int,
-    last: int,
-    planes: np.ndarray,
-) -> None:
-    """Fill planes (N, 4) of pixels first..last of (N,) from inverse depth and its slopes (3, N) there:
-    1 / z = smooth + gu (u - u0) + gv (v - v0) is a plane a . x = 1 of space."""
-    for n in range(first, last):
+def _in_space(smooth: np.ndarray, pixels: np.ndarray, width: int, K: np.ndarray, planes: np.ndarray) -> None:
+    """Fill planes (N, 4) of pixels (N,) from inverse depth and its slopes (3, N) there: 1 / z = smooth +
+    gu (u - u0) + gv (v - v0) is a plane a . x = 1 of space."""
+    for n in range(len(pixels)):
         row = pixels[n] // width
         u, v = np.float32(pixels[n] - row * width), np.float32(row)
         gu, gv = smooth[1, n], smooth[2, n]
