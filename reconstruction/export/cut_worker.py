@@ -14,6 +14,7 @@ import os
 import signal
 import struct
 import sys
+import threading
 from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, Any
@@ -24,6 +25,9 @@ LENGTH = struct.Struct("<Q")
 """A message is its length and the content of an .npz file."""
 Mesh = tuple[np.ndarray, np.ndarray]
 """Vertices (V, 3) [m] and faces (F, 3)."""
+PARSING = threading.Lock()
+"""numpy reads headers with Python's parser, and that of Python 3.11 may fail when two threads use it at once
+("AST constructor recursion depth mismatch")."""
 PR_SET_PDEATHSIG = 1
 """Of Linux's prctl."""
 
@@ -37,7 +41,7 @@ def pack(**arrays: Any) -> bytes:
 
 def unpack(content: bytes) -> dict[str, np.ndarray]:
     """The arrays of a message, given without its length."""
-    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+    with PARSING, np.load(io.BytesIO(content), allow_pickle=False) as arrays:
         return dict(arrays.items())
 
 
