@@ -35,19 +35,14 @@ def clean_labels(
     its pixels that are not. floors: label -> height over the support plane of the support that it stands on
     [m], 0 where none is given.
     """
-
-    def own_of(label: int) -> np.ndarray:
-        pixels = measured[label]
+    cleaned = np.zeros_like(labels)
+    for label, pixels in measured.items():
         if support is not None:
             floor = (floors or {}).get(label, 0.0)
             pixels = pixels[~_on_table(points, labels, pixels, support, floor, camera, config)]
-        return (
-            pixels[main_cluster(points, labels, pixels, support, camera, config)] if len(pixels) else pixels
-        )
-
-    cleaned = np.zeros_like(labels)
-    for label, pixels in zip(measured, map(own_of, measured)):
-        cleaned.reshape(-1)[pixels] = label
+        if pixels.size:
+            own = main_cluster(points, labels, pixels, support, camera, config)
+            cleaned.reshape(-1)[pixels[own]] = label
     return cleaned
 
 

@@ -34,27 +34,23 @@ def silhouettes(
     kept = cleaned.reshape(-1)
     measured = np.isfinite(depth).reshape(-1)
     guess = np.full(depth.shape, np.nan, np.float32)
-
-    def look(label: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        whole = masks[label]
+    found: dict[int, np.ndarray] = {}
+    for label, whole in masks.items():
         surface = kept[whole] > 0
         own, lost = whole[surface], whole[~surface]
         seen = measured[lost]
         if len(own) < least:
             everything = np.count_nonzero(seen) > SEEN_THROUGH_WHOLE * len(whole)
-            return lost if everything else lost[~seen], lost[:0], np.empty(0, np.float32)
+            found[label] = lost if everything else lost[~seen]
+            continue
         inside = _inside_outline(own, lost, depth.shape)
         through = seen & inside
         if np.count_nonzero(through) <= SEEN_THROUGH * len(whole):
             through[:] = False
+        found[label] = lost[~seen | through]
         hole = lost[(~seen & inside) | through]
-        filled = _filled(depth, own, hole) if len(hole) else np.empty(0, np.float32)
-        return lost[~seen | through], hole, filled
-
-    found: dict[int, np.ndarray] = {}
-    for label, (pixels, hole, filled) in zip(masks, map(look, masks)):
-        found[label] = pixels
-        guess.reshape(-1)[hole] = filled
+        if len(hole):
+            guess.reshape(-1)[hole] = _filled(depth, own, hole)
     return {label: pixels for label, pixels in found.items() if len(pixels)}, guess
 
 

@@ -22,7 +22,7 @@ GRAZED = 0.0015
 """So far into free space [m] a wall may reach: no nearer is a thin wall's place known."""
 NEAR, NEAR_GRAZED = 2, 0.004
 """A hole with no place farther than so many nodes from its sides is a slip of the lattice's, and its wall may
-reach so far into free space [m]: as far as the lattice's nodes are apart."""
+reach so far into free space [m]: no better is a whole shape's place known."""
 FARTHER = 0.35
 """Log odds that a wall loses with every node of distance from the rest of the object."""
 REACH = 8
