@@ -90,29 +90,39 @@ def test_training_lowers_the_loss_and_writes_both_files(tmp_path):
     assert record["scores"]["known_families"]["loss"] < np.log(2)
 
 
-def test_training_goes_on_from_weights_that_looked_at_less(tmp_path):
+def test_a_graphics_card_would_be_told_the_same():
     import torch
 
-    from reconstruction.prior.features import LATTICE, LATTICE_CHANNELS, RAY_CHANNELS
-    from reconstruction.prior.network import POINT_CHANNELS, WIDTHS
-    from reconstruction.prior.occlusion_prior import WEIGHTS_FILE
-    from tools.train_prior import started_from
+    from reconstruction.prior.features import LATTICE
+    from reconstruction.prior.network import PriorNetwork
+    from tools.prior_batches import sampled
 
-    with np.load(WEIGHTS_FILE) as stored:
-        state = {name: stored[name] for name in stored.files if name != "architecture"}
-    known = WIDTHS[0] + RAY_CHANNELS
-    state["decoder.0.weight"] = state["decoder.0.weight"][:, :known]
-    np.savez(tmp_path / "fewer.npz", **state)
-    network = started_from(tmp_path / "fewer.npz")
-    rng = torch.Generator().manual_seed(0)
-    features = network.encode(torch.rand((1, LATTICE_CHANNELS, *LATTICE), generator=rng))
-    local = torch.rand((1, 5, 3), generator=rng)
-    channels = torch.rand((1, 5, POINT_CHANNELS), generator=rng)
-    changed = channels.clone()
-    changed[..., RAY_CHANNELS:] = 0
-    assert torch.allclose(
-        network.decode(features, local, channels), network.decode(features, local, changed), atol=1e-5
-    )
+    network, rng = PriorNetwork(), torch.Generator().manual_seed(0)
+    features = torch.rand((2, 24, *(side // 2 for side in LATTICE)), generator=rng)
+    local = 2.4 * torch.rand((2, 50, 3), generator=rng) - 1.2  # some beyond the lattice
+    owner = np.arange(2, dtype=np.int32).repeat(50)
+    near = network._near(features, owner, local.reshape(-1, 3)).reshape(2, 50, -1)
+    torch.testing.assert_close(sampled(features, local), near, atol=1e-5, rtol=0)
+
+
+def test_mirrored_batches_are_those_of_a_mirrored_world():
+    import torch
+
+    from tools.prior_batches import Y_CHANNEL, Batches
+    from tools.prior_data import make_examples
+
+    batch = Batches(make_examples(1, draw_shape, 2), torch.device("cpu")).at(np.array([0, 1]))
+    turned = batch.mirrored(torch.tensor([True, False]))
+    torch.testing.assert_close(turned.local[0], batch.local[0] * torch.tensor([1, -1, 1]))
+    torch.testing.assert_close(turned.channels[0, :, Y_CHANNEL], -batch.channels[0, :, Y_CHANNEL])
+    # The lattice's own y, at its cells: the same picture, its columns exchanged.
+    torch.testing.assert_close(turned.lattices[0, Y_CHANNEL], batch.lattices[0, Y_CHANNEL])
+    torch.testing.assert_close(turned.lattices[0, 0], batch.lattices[0, 0].flip(1))
+    for before, after in zip(batch, turned):
+        torch.testing.assert_close(before[1], after[1])
+    again = turned.mirrored(torch.tensor([True, False]))
+    for before, after in zip(batch, again):
+        torch.testing.assert_close(before, after)
 
 
 def test_household_meshes_to_learn_from_exclude_those_kept_to_judge_on(tmp_path):

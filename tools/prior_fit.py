@@ -1,4 +1,4 @@
-"""The two ways the occlusion prior is trained: all of its network, or its decoder alone.
+"""How the occlusion prior is trained: on a processor or a graphics card.
 
 Knows examples and networks; knows nothing of how the examples were made and where weights go.
 """
@@ -16,13 +16,12 @@ from torch.nn import functional as F
 from reconstruction.prior.network import PriorNetwork
 from sim_scenes.training.household import HOLLOW_MESH
 from sim_scenes.training.shapes import HOLLOW_FAMILIES
+from tools.prior_batches import Batches, odds
 from tools.prior_data import Examples
-from tools.prior_scores import chunks, score
+from tools.prior_scores import score
 
 HOLLOW = (*HOLLOW_FAMILIES, HOLLOW_MESH)
 """Kinds of objects that scenes for training have more of than tables do."""
-Y_CHANNEL = 9
-"""The channel that changes its sign when left and right are exchanged."""
 
 
 class FitSettings(Protocol):
@@ -41,18 +40,23 @@ class FitSettings(Protocol):
     @property
     def solid(self) -> float: ...
     @property
+    def device(self) -> str: ...
+    @property
     def cache(self) -> Path | None: ...
 
 
 def fit(network: PriorNetwork, examples: Examples, config: FitSettings, test: Examples) -> None:
-    """Minimise the cross-entropy at the examples' points.
+    """Minimise the cross-entropy at the examples' points, on config.device.
 
     After each pass the state of training is kept in config.cache, where one is named, and taken from there.
     """
     from tqdm import tqdm
 
+    device = torch.device(config.device)
+    network.to(device)
     rng = np.random.default_rng(config.seed)
-    weight = _weights(examples, config.solid)
+    weight = _weights(examples, config.solid).to(device)
+    batches, tests = Batches(examples, device), Batches(test, device)
     steps = config.epochs * (len(examples) // config.batch)
     optimiser = torch.optim.AdamW(network.parameters(), lr=config.rate, weight_decay=config.decay)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
@@ -71,20 +75,23 @@ def fit(network: PriorNetwork, examples: Examples, config: FitSettings, test: Ex
     per_epoch = len(examples) // config.batch
     progress = tqdm(total=steps, initial=done * per_epoch, desc="training", mininterval=5)
     for epoch in range(done, config.epochs):
-        total = 0.0
+        total = torch.zeros((), device=device)
         for rows in _batches(len(examples), config.batch, rng):
-            lattices, local, points, truth = _mirrored(*examples.inputs(rows), rng)
-            odds = network.decode(network.encode(lattices), local, points)
-            loss = F.binary_cross_entropy_with_logits(odds, truth, weight=weight[rows, None])
+            # Half of the objects with left and right exchanged: nothing in the world tells them apart.
+            chosen = torch.from_numpy(rng.random(len(rows)) < 0.5).to(device)
+            batch = batches.at(rows).mirrored(chosen)
+            loss = F.binary_cross_entropy_with_logits(
+                odds(network, batch), batch.truth, weight=weight[rows, None]
+            )
             optimiser.zero_grad()
             loss.backward()
             torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
             optimiser.step()
             schedule.step()
             progress.update()
-            total += loss.item()
-        mean = total / max(1, per_epoch)
-        progress.write(f"epoch {epoch + 1}: loss {mean:.4f}, test {score(network, test)['loss']:.4f}")
+            total += loss.detach()
+        mean = float(total) / max(1, per_epoch)
+        progress.write(f"epoch {epoch + 1}: loss {mean:.4f}, test {score(network, tests)['loss']:.4f}")
         network.train()
         if kept:
             state = {
@@ -98,79 +105,13 @@ def fit(network: PriorNetwork, examples: Examples, config: FitSettings, test: Ex
             torch.save(state, temporary)
             temporary.rename(kept)
     progress.close()
-    network.eval()
-
-
-def fit_decoder(network: PriorNetwork, examples: Examples, config: FitSettings, test: Examples) -> None:
-    """The same for the decoder alone: the encoder looks at every object once, and at its mirror image.
-
-    A sixth of the time a pass; the encoder's features stay those that it was trained for.
-    """
-    from tqdm import tqdm
-
-    rng = np.random.default_rng(config.seed)
-    weight = _weights(examples, config.solid)
-    plain = _features(network, examples, mirrored=False)
-    mirror = _features(network, examples, mirrored=True)
-    steps = config.epochs * (len(examples) // config.batch)
-    optimiser = torch.optim.AdamW(network.decoder.parameters(), lr=config.rate, weight_decay=config.decay)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, config.rate, total_steps=max(steps, 2), pct_start=0.05, cycle_momentum=False
-    )
-    progress = tqdm(total=steps, desc="training the decoder", mininterval=5)
-    for epoch in range(config.epochs):
-        total = 0.0
-        for rows in _batches(len(examples), config.batch, rng):
-            local, points, truth = examples.points(rows)
-            chosen = rng.random(len(rows)) < 0.5
-            local[chosen, :, 1] *= -1
-            points[chosen, :, Y_CHANNEL] *= -1
-            seen = np.where(chosen[:, None, None, None, None], mirror[rows], plain[rows]).astype(np.float32)
-            features, *rest = map(torch.from_numpy, (seen, local, points, truth))
-            odds = network.decode(features, *rest[:2])
-            loss = F.binary_cross_entropy_with_logits(odds, rest[2], weight=weight[rows, None])
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            schedule.step()
-            progress.update()
-            total += loss.item()
-        mean = total / max(1, len(examples) // config.batch)
-        progress.write(f"epoch {epoch + 1}: loss {mean:.4f}, test {score(network, test)['loss']:.4f}")
-    progress.close()
-    network.eval()
+    network.to("cpu").eval()
 
 
 def _weights(examples: Examples, solid: float) -> torch.Tensor:
     """Weight (B,) of each object in the loss, 1 on average."""
     weight = np.where(np.isin(examples.family, HOLLOW), 1.0, solid)
     return torch.from_numpy((weight / weight.mean()).astype(np.float32))
-
-
-def _features(network: PriorNetwork, examples: Examples, mirrored: bool) -> np.ndarray:
-    """What the encoder says of each object: (B, F, X, Y, Z) float16."""
-    network.eval()
-    found = []
-    for rows in chunks(len(examples), 16):
-        lattices = examples.lattices(rows)
-        if mirrored:
-            lattices = np.ascontiguousarray(lattices[:, :, :, ::-1])
-            lattices[:, Y_CHANNEL] *= -1
-        with torch.inference_mode():
-            found.append(network.encode(torch.from_numpy(lattices)).numpy().astype(np.float16))
-    return np.concatenate(found)
-
-
-def _mirrored(
-    lattices: np.ndarray, local: np.ndarray, points: np.ndarray, truth: np.ndarray, rng: np.random.Generator
-) -> list[torch.Tensor]:
-    """Half of the objects with left and right exchanged: nothing in the world tells them apart."""
-    chosen = rng.random(len(lattices)) < 0.5
-    lattices[chosen] = lattices[chosen][:, :, :, ::-1]
-    lattices[chosen, Y_CHANNEL] *= -1
-    local[chosen, :, 1] *= -1
-    points[chosen, :, Y_CHANNEL] *= -1
-    return [torch.from_numpy(part) for part in (lattices, local, points, truth)]
 
 
 def _batches(count: int, size: int, rng: np.random.Generator) -> Iterator[np.ndarray]:

@@ -12,15 +12,16 @@ import torch
 
 from reconstruction.prior.network import PriorNetwork
 from tools.evaluation.statistics import calibration_error, reliability
-from tools.prior_data import Examples
+from tools.prior_batches import Batches, odds
 
 
-def score(network: PriorNetwork, examples: Examples) -> dict:
+def score(network: PriorNetwork, batches: Batches) -> dict:
     """Loss, IoU (mean over objects and by family), Brier score and calibration error at hidden points."""
     network.eval()
-    odds = np.concatenate([_predict(network, examples, rows) for rows in chunks(len(examples), 16)])
-    probability, truth = 1 / (1 + np.exp(-odds)), examples.truth
-    loss = np.logaddexp(0, odds) - truth * odds
+    examples = batches.examples
+    said = np.concatenate([_predict(network, batches, rows) for rows in chunks(len(examples), 16)])
+    probability, truth = 1 / (1 + np.exp(-said)), examples.truth
+    loss = np.logaddexp(0, said) - truth * said
     inside = probability > 0.5
     union = (inside | truth).sum(axis=1)
     iou = (inside & truth).sum(axis=1)[union > 0] / union[union > 0]
@@ -37,10 +38,9 @@ def score(network: PriorNetwork, examples: Examples) -> dict:
     }
 
 
-def _predict(network: PriorNetwork, examples: Examples, rows: np.ndarray) -> np.ndarray:
-    lattices, local, points, _ = (torch.from_numpy(part) for part in examples.inputs(rows))
+def _predict(network: PriorNetwork, batches: Batches, rows: np.ndarray) -> np.ndarray:
     with torch.inference_mode():
-        return network.decode(network.encode(lattices), local, points).numpy()
+        return odds(network, batches.at(rows)).cpu().numpy()
 
 
 def chunks(count: int, size: int) -> Iterator[np.ndarray]:
