@@ -31,7 +31,7 @@ LEAST_PIXELS = 60
 class SceneConfig:
     """How training scenes vary."""
 
-    objects: tuple[int, int] = (1, 9)
+    objects: tuple[int, int] = (1, 12)
     """Fewest and most shapes."""
     upright: float = 0.42
     """Share of shapes that stand as modelled."""
