@@ -40,6 +40,11 @@ LEAST_BEHIND = 0.0005
 """Points must lie this far behind the first surface [m]."""
 
 
+FARTHEST_INSIDE = 2.0
+"""Distances to a silhouette's border are kept up to this [m]: beyond a quarter of a box's side they say the
+same, and beside pixels that saw nothing they are beyond all measure."""
+
+
 @dataclass(frozen=True)
 class Examples:
     """Objects as the prior sees them. B objects, V lattice cells, Q points; evidence as in RayEvidence."""
@@ -165,7 +170,7 @@ def scene_examples(scene: TrainingScene, rng: np.random.Generator) -> Iterator[t
             box.scalars(),
             around.behind.astype(np.float16),
             around.seen,
-            around.inside.astype(np.float16),
+            around.inside.clip(-FARTHEST_INSIDE, FARTHEST_INSIDE).astype(np.float16),
             box.surface_cells(visible),
             local,
             of_points.behind.astype(np.float32),

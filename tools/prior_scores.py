@@ -17,9 +17,12 @@ from tools.prior_batches import Batches, odds
 
 def score(network: PriorNetwork, batches: Batches) -> dict:
     """Loss, IoU (mean over objects and by family), Brier score and calibration error at hidden points."""
-    network.eval()
     examples = batches.examples
-    said = np.concatenate([_predict(network, batches, rows) for rows in chunks(len(examples), 16)])
+    network.eval()
+    with torch.inference_mode():
+        said = np.concatenate(
+            [odds(network, batches.at(rows)).cpu().numpy() for rows in chunks(len(batches), 16)]
+        )
     probability, truth = 1 / (1 + np.exp(-said)), examples.truth
     loss = np.logaddexp(0, said) - truth * said
     inside = probability > 0.5
@@ -36,11 +39,6 @@ def score(network: PriorNetwork, batches: Batches) -> dict:
             str(name): round(float(iou[families == name].mean()), 3) for name in np.unique(families)
         },
     }
-
-
-def _predict(network: PriorNetwork, batches: Batches, rows: np.ndarray) -> np.ndarray:
-    with torch.inference_mode():
-        return odds(network, batches.at(rows)).cpu().numpy()
 
 
 def chunks(count: int, size: int) -> Iterator[np.ndarray]:

@@ -17,7 +17,7 @@ POINT_NAMES = (*RAY_NAMES, *FOOTPRINT_NAMES, *REVOLUTION_NAMES)
 """What is known of a single point: what the rays say, the plan view, and both turned about an axis."""
 POINT_CHANNELS = len(POINT_NAMES)
 
-WIDTHS = (24, 40, 64)
+WIDTHS = (32, 48, 96)
 """Channels at a half, a quarter and an eighth of the lattice's resolution."""
 HIDDEN = 48
 """Units in the point decoder's first layer."""
