@@ -7,7 +7,7 @@ import pytest
 
 from reconstruction.surface.profile_depth import CELL, EMPTY, UNKNOWN
 from reconstruction.surface.round_body import RoundBody
-from reconstruction.surface.unseen_end import with_flat_ends
+from reconstruction.surface.unseen_end import with_ends
 
 RADIUS, SEEN = 0.04, 0.05
 """Of a body, and the height below which nothing of it was seen [m]."""
@@ -50,7 +50,7 @@ def lying(radius: float, height: float) -> np.ndarray:
 @pytest.mark.parametrize("over", [False, True])
 def test_an_end_is_flat_where_the_map_ends_on_average(over: bool) -> None:
     rough = body(over=over)
-    found, places = with_flat_ends(rough, log_odds(0.042, over), CORNER, SPACING, 0.004)
+    found, places = with_ends(rough, log_odds(0.042, over), CORNER, SPACING, 0.004)
 
     def depth(of: RoundBody, radius: float, height: float) -> np.ndarray:
         return of.depth(lying(radius, TOP - height if over else height))
@@ -68,7 +68,7 @@ def test_an_end_is_flat_where_the_map_ends_on_average(over: bool) -> None:
 
 
 def test_a_ball_goes_on_as_narrow_as_it_becomes() -> None:
-    found, places = with_flat_ends(body(taper=0.5), log_odds(0.040), CORNER, SPACING, 0.004)
+    found, places = with_ends(body(taper=0.5), log_odds(0.040), CORNER, SPACING, 0.004)
     height = float(places[0, 0]) + 0.002
     radius = RADIUS - 0.5 * (SEEN - height)
     assert (found.depth(lying(radius - 0.003, height)) > 0).all()
@@ -82,7 +82,7 @@ def test_mugs_get_a_bottom_and_rolls_of_tape_none(wall: float, closed: bool) -> 
     across = np.where((height < SEEN + 0.004) & (radius < RADIUS - wall / 2), UNKNOWN, across)
     table = np.where(height < SEEN, UNKNOWN, np.minimum(across, 0.1 - height))
     seen = RoundBody(TURN, np.zeros(2), 0.0, table.astype(np.float32))
-    _, places = with_flat_ends(seen, log_odds(0.042), CORNER, SPACING, 0.004)
+    _, places = with_ends(seen, log_odds(0.042), CORNER, SPACING, 0.004)
     assert (len(places) > 0) == closed
 
 
@@ -91,12 +91,12 @@ def test_a_bowl_upside_down_stays_open() -> None:
     inside = (CELL * np.arange(ROWS)[:, None] < RADIUS - 0.005) & (CELL * np.arange(COLUMNS)[None] >= SEEN)
     table = np.where(inside & (CELL * np.arange(COLUMNS)[None] < 0.095), np.float32(-0.0025), full.table)
     bowl = RoundBody(TURN, np.zeros(2), 0.0, table)
-    assert len(with_flat_ends(full, log_odds(0.042), CORNER, SPACING, 0.004)[1])
-    assert len(with_flat_ends(bowl, log_odds(0.042), CORNER, SPACING, 0.004)[1]) == 0
+    assert len(with_ends(full, log_odds(0.042), CORNER, SPACING, 0.004)[1])
+    assert len(with_ends(bowl, log_odds(0.042), CORNER, SPACING, 0.004)[1]) == 0
 
 
 def test_what_stands_on_a_table_ends_there() -> None:
-    found, places = with_flat_ends(body(known=0.046), log_odds(0.055), CORNER, SPACING, 0.004)
+    found, places = with_ends(body(known=0.046), log_odds(0.055), CORNER, SPACING, 0.004)
     np.testing.assert_allclose(places[:, 0], 0.046, atol=0.0005)
     assert (found.depth(lying(0.02, 0.0475)) > 0).all()
 
@@ -104,6 +104,37 @@ def test_what_stands_on_a_table_ends_there() -> None:
 @pytest.mark.parametrize(("known", "end"), [(0.05, 0.03), (None, -0.03)])
 def test_seen_ends_and_far_ones_stay(known: float | None, end: float) -> None:
     before = body(known)
-    found, places = with_flat_ends(before, log_odds(end), CORNER, SPACING, 0.004)
+    found, places = with_ends(before, log_odds(end), CORNER, SPACING, 0.004)
     assert len(places) == 0
     np.testing.assert_array_equal(found.table, before.table)
+
+
+def ball(wide: float = 0.04, high: float = 0.04, known: float | None = None) -> RoundBody:
+    """A ball or egg on 0.02 m, seen from a little below its middle upwards; known: nothing is below this."""
+    radius, height = CELL * (np.arange(ROWS)[:, None] + 0.0), CELL * np.arange(COLUMNS)[None]
+    middle = 0.02 + high
+    away = np.hypot(radius / wide, (height - middle) / high)
+    table = np.where(
+        height >= middle - 0.2 * high, np.clip((1 - away) * min(wide, high), EMPTY, 0.0025), UNKNOWN
+    )
+    if known is not None:
+        table = np.where(height < known, np.maximum(height - known, EMPTY), table)
+    return RoundBody(TURN, np.zeros(2), 0.0, np.maximum(table, EMPTY).astype(np.float32))
+
+
+@pytest.mark.parametrize("high", [0.04, 0.045, 0.035])
+def test_balls_and_eggs_end_round(high: float) -> None:
+    found, places = with_ends(ball(high=high), log_odds(0.03), CORNER, SPACING, 0.004)
+    assert places[:, 0].min() == pytest.approx(0.02, abs=0.002)  # not where the map ends
+    off_axis = np.hypot(places[:, 1], places[:, 2])
+    np.testing.assert_allclose(np.hypot(off_axis / 0.04, (places[:, 0] - 0.02 - high) / high), 1, atol=0.03)
+    for share in (0.5, 0.7, 0.9):
+        height = 0.02 + high * (1 - share)
+        at = lying(0.04 * np.sqrt(1 - share**2), height)
+        assert np.abs(found.depth(at)).max() < 0.003
+
+
+def test_a_ball_ends_where_nothing_is_known_to_be() -> None:
+    found, places = with_ends(ball(known=0.026), log_odds(0.03), CORNER, SPACING, 0.004)
+    assert places[:, 0].min() == pytest.approx(0.026, abs=0.001)
+    assert found.depth(lying(0.0, 0.022)).max() < 0

@@ -33,7 +33,7 @@ from reconstruction.surface.seen_surface import Edges
 from reconstruction.surface.slanted_axis import slanted_axis
 from reconstruction.surface.thin_walls import thin_walls
 from reconstruction.surface.unseen_cavity import cavity, fill, hollow_out
-from reconstruction.surface.unseen_end import with_flat_ends
+from reconstruction.surface.unseen_end import with_ends
 from reconstruction.surface.vertical_axis import vertical_axis
 
 ANGLES = 24
@@ -151,9 +151,9 @@ class RevolvedEdges:
         return cls(edges, RoundBody(turn, axis, low, depth), circles.reshape(-1, 3) @ turn, wall, full)
 
     def ended(self, log_odds: np.ndarray, corner: np.ndarray, spacing: float) -> RevolvedEdges:
-        """The same with flat ends where nobody saw them, by the map's log odds (nx, ny, nz) at
+        """The same with ends where nobody saw them, by the map's log odds (nx, ny, nz) at
         corner + spacing * (i, j, k) [m, table frame]."""
-        body, places = with_flat_ends(self.body, log_odds, corner, spacing, ARC)
+        body, places = with_ends(self.body, log_odds, corner, spacing, ARC)
         return replace(self, body=body, circles=np.concatenate([self.circles, places]))
 
     def read(self, points: np.ndarray) -> Reading:

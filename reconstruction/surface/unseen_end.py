@@ -1,8 +1,10 @@
-"""The end of a round body that nobody saw: flat, where the map says that the body ends.
+"""The end of a round body that nobody saw: round where the body is a ball, else flat, where the map says that
+the body ends.
 
 A mug that lies shows its side and its mouth; its bottom is the map's guess, which is as rough as the samples
-it was fitted to, and cups, cans and bottles have flat ends. Knows a body's table of depths and a lattice of
-log odds; knows nothing of images or meshes.
+it was fitted to, and cups, cans and bottles have flat ends. Of balls, eggs and most fruits the seen half says
+what the other is like. Knows a body's table of depths and a lattice of log odds; knows nothing of images or
+meshes.
 """
 
 from __future__ import annotations
@@ -32,13 +34,19 @@ RINGS, ANGLES = 6, 12
 """The map is asked at so many places on a cross-section."""
 LIMIT = 2.0
 """Log odds beyond this do not count for more."""
+OVAL = (0.6, 1.7)
+"""Squared width over height of what counts as a ball: eggs and tangerines do."""
+OFF = 0.5
+"""Its outline is nowhere seen further than twice this from the oval, and as far on average [cells]."""
+UPPER = 0.6
+"""It is seen from its middle, or below, up to this share of its half height above it."""
 
 
-def with_flat_ends(
+def with_ends(
     body: RoundBody, log_odds: np.ndarray, corner: np.ndarray, spacing: float, apart: float
 ) -> tuple[RoundBody, np.ndarray]:
-    """The same body with flat ends where it has ends that nobody saw, and these are near; and places (M, 3)
-    float32 [m, table frame] on them, `apart` [m] from each other.
+    """The same body with ends, round or flat, where it has ends that nobody saw, and these are near; and
+    places (M, 3) float32 [m, table frame] on them, `apart` [m] from each other.
 
     log_odds: (nx, ny, nz) of the map at corner + spacing * (i, j, k) [m, table frame].
     """
@@ -52,6 +60,11 @@ def with_flat_ends(
             continue
         first, radius, taper = place
         end = known = _known_end(rows, first, radius)
+        oval = _oval(rows, first)
+        if oval is not None:
+            _put_round_end(rows, first, oval, known)
+            places.append(_cap(body, oval, first, known, up, table.shape[1] - 1, apart))
+            continue
         if known is None or first - known > CLOSE:
             beyond = np.arange(first - 1, -1 if known is None else int(np.ceil(known)) - 1, -1)
             heights = body.height + CELL * (table.shape[1] - 1 - beyond if up else beyond)
@@ -101,13 +114,76 @@ def _crossed(filled: np.ndarray, first: int, known: float | None) -> float | Non
     return first - last - float(filled[last - 1] / (filled[last - 1] - filled[last]))
 
 
+def _oval(rows: np.ndarray, first: int) -> tuple[float, float, float] | None:
+    """The middle and the half width and half height [cells] of the oval whose upper part, from the height
+    `first`, is what a table (R, Z) says of the outside; None where that is none."""
+    outer, seen = outermost(rows)
+    at = np.flatnonzero(seen)
+    radius = outer[at] + rows[outer[at], at] / CELL
+    # Its squared radius is a quadratic in the height.
+    bent, slope, start = np.polyfit(at, radius**2, 2) if len(at) > AMONG else (0.0, 0.0, 0.0)
+    if not OVAL[0] < -bent < OVAL[1]:
+        return None
+    middle = -slope / (2 * bent)
+    wide = float(np.sqrt(max(start - bent * middle**2, 0.0)))
+    high = wide / float(np.sqrt(-bent))
+    if not (first <= middle and at[-1] > middle + UPPER * high):
+        return None
+    off = np.abs(_within_oval(radius, at, (middle, wide, high)))
+    return (middle, wide, high) if off.mean() < OFF and off.max() < 2 * OFF else None
+
+
+def _within_oval(r: np.ndarray, c: np.ndarray, oval: tuple[float, float, float]) -> np.ndarray:
+    """How far places at radius r and height c lie within an oval [cells], to first order at its outline."""
+    middle, wide, high = oval
+    away = np.hypot(r / wide, (c - middle) / high)
+    steep = np.hypot(r / wide**2, (c - middle) / high**2)
+    return (1 - away) * away / np.maximum(steep, 1e-6)
+
+
+def _put_round_end(
+    rows: np.ndarray, first: int, oval: tuple[float, float, float], known: float | None
+) -> None:
+    """Let the body go on below the height `first` as the oval does, in place, where the table (R, Z) does not
+    know; it ends at the height `known` at the latest [cells]."""
+    r, c = np.indices(rows.shape)
+    depth = CELL * np.minimum(_within_oval(r, c, oval), np.inf if known is None else c - known)
+    unknown = (rows >= UNKNOWN) & (c < first)
+    rows[unknown] = np.clip(depth, EMPTY, DEEP)[unknown]
+
+
+def _cap(
+    body: RoundBody,
+    oval: tuple[float, float, float],
+    first: int,
+    known: float | None,
+    up: bool,
+    highest: int,
+    apart: float,
+) -> np.ndarray:
+    """Places (M, 3) float32 on an oval below the height `first` [m]; up: its heights are counted from
+    `highest` downwards."""
+    middle, wide, high = oval
+    low = max(first - middle, -high) / high
+    x, y = _level(body, CELL * wide * float(np.sqrt(max(1 - low**2, 0.0))), apart)
+    away = np.hypot(x - body.axis[0], y - body.axis[1]) / (CELL * wide)
+    at = np.maximum(middle - high * np.sqrt(np.maximum(1 - away**2, 0)), -np.inf if known is None else known)
+    height = body.height + CELL * (highest - at if up else at)
+    return (np.stack([x, y, height], 1) @ body.turn).astype(np.float32)
+
+
 def _disc(body: RoundBody, radius: float, height: float, apart: float) -> np.ndarray:
     """Places (M, 3) float32 on a disc across the axis [m]."""
+    x, y = _level(body, radius, apart)
+    return (np.stack([x, y, np.full(len(x), height)], 1) @ body.turn).astype(np.float32)
+
+
+def _level(body: RoundBody, radius: float, apart: float) -> np.ndarray:
+    """Places (2, M) around the axis, `apart` from each other, up to a radius [m]."""
     along = np.arange(-radius, radius + apart, apart)
     x, y = np.meshgrid(along, along)
     within = np.hypot(x, y) < radius
-    x, y = x[within] + body.axis[0], y[within] + body.axis[1]
-    return (np.stack([x, y, np.full(len(x), height)], 1) @ body.turn).astype(np.float32)
+    return np.stack([x[within] + body.axis[0], y[within] + body.axis[1]])
 
 
 def _filled(
