@@ -146,7 +146,7 @@ def _put_round_end(
 ) -> None:
     """Let the body go on below the height `first` as the oval does, in place, where the table (R, Z) does not
     know; it ends at the height `known` at the latest [cells]."""
-    r, c = np.indices(rows.shape)
+    r, c = np.arange(rows.shape[0])[:, None], np.arange(rows.shape[1])[None]
     depth = CELL * np.minimum(_within_oval(r, c, oval), np.inf if known is None else c - known)
     unknown = (rows >= UNKNOWN) & (c < first)
     rows[unknown] = np.clip(depth, EMPTY, DEEP)[unknown]
