@@ -117,6 +117,18 @@ def test_weights_gone_on_from_are_kept_in_part():
         train(TrainConfig(keep=0.5))
 
 
+def test_a_missing_graphics_card_is_said():
+    import torch
+
+    from mapping.errors import ConfigError
+    from tools.train_prior import TrainConfig, train
+
+    if torch.cuda.is_available():
+        pytest.skip("there is one")
+    with pytest.raises(ConfigError, match="no graphics card"):
+        train(TrainConfig(device="cuda"))
+
+
 def test_mirrored_batches_are_those_of_a_mirrored_world():
     import torch
 

@@ -37,9 +37,10 @@ LIMIT = 2.0
 OVAL = (0.6, 1.7)
 """Squared width over height of what counts as a ball: eggs and tangerines do."""
 OFF = 0.5
-"""Its outline is nowhere seen further than twice this from the oval, and as far on average [cells]."""
+"""Its outline is seen no further than this from the oval on average, and nowhere further than twice this
+[cells]."""
 UPPER = 0.6
-"""It is seen from its middle, or below, up to this share of its half height above it."""
+"""It is seen from its middle, or from below it, up to this share of its half height above the middle."""
 
 
 def with_ends(
