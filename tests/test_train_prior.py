@@ -117,6 +117,19 @@ def test_weights_gone_on_from_are_kept_in_part():
         train(TrainConfig(keep=0.5))
 
 
+def test_weights_without_their_record_are_named_before_anything_is_made(tmp_path):
+    from mapping.errors import DataError
+    from reconstruction.prior.occlusion_prior import WEIGHTS_FILE
+    from tools.train_prior import TrainConfig, train
+
+    alone = tmp_path / "alone.npz"
+    alone.write_bytes(WEIGHTS_FILE.read_bytes())
+    with pytest.raises(DataError, match=r"alone\.json"):
+        train(TrainConfig(start=alone))
+    with pytest.raises(DataError, match="no such weights"):
+        train(TrainConfig(start=tmp_path / "none.npz"))
+
+
 def test_a_missing_graphics_card_is_said():
     import torch
 

@@ -24,6 +24,10 @@ HOLLOW = (*HOLLOW_FAMILIES, HOLLOW_MESH)
 """Kinds of objects that scenes for training have more of than tables do."""
 
 
+FIT_FILE = "fit.pt"
+"""The state of training within the folder of what is kept."""
+
+
 class FitSettings(Protocol):
     """What training needs to be told."""
 
@@ -62,7 +66,7 @@ def fit(network: PriorNetwork, examples: Examples, config: FitSettings, test: Ex
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, config.rate, total_steps=max(steps, 2), pct_start=0.05, cycle_momentum=False
     )
-    kept = config.cache and config.cache / "fit.pt"
+    kept = config.cache and config.cache / FIT_FILE
     done = 0
     if kept and kept.is_file():
         state = torch.load(kept, weights_only=True)

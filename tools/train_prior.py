@@ -24,7 +24,7 @@ from typing import Literal
 import numpy as np
 import torch
 
-from mapping.errors import ConfigError
+from mapping.errors import ConfigError, DataError
 from reconstruction.prior.network import PriorNetwork
 from reconstruction.prior.occlusion_prior import WEIGHTS_FILE, OcclusionPrior, save_weights
 from sim_scenes.objects.random_urdfs import draw_figure, figures_folder
@@ -33,7 +33,7 @@ from sim_scenes.training.shapes import HELD_OUT_FAMILIES, TRAINING_FAMILIES, dra
 from tools.exit_code import exit_code
 from tools.prior_batches import Batches
 from tools.prior_data import Examples, make_examples
-from tools.prior_fit import fit
+from tools.prior_fit import FIT_FILE, fit
 from tools.prior_scores import score
 
 PLACES = ("out", "cache", "workers", "household", "start")
@@ -98,6 +98,10 @@ def train(config: TrainConfig) -> dict:
     if config.device == "cuda" and not torch.cuda.is_available():
         raise ConfigError("--device cuda: torch finds no graphics card here; use --device cpu")
     start = perf_counter()
+    torch.manual_seed(config.seed)
+    # Weights that are used have no normalisation layers: training goes on from them without.
+    begun = PriorNetwork(normalised=True) if config.start is None else started_from(config.start)
+    earlier = None if config.start is None else _record_of(config.start)
     known: Callable = partial(draw_shape, families=TRAINING_FAMILIES)
     learned_from = known
     if config.household is not None:
@@ -121,17 +125,16 @@ def train(config: TrainConfig) -> dict:
         judged = Meshes(config.household, held_out_kinds(config.household))
         tests["held_out_meshes"] = examples("meshes", judged, 2 * config.test_scenes, config.seed + 40_000)
     made = perf_counter()
-    torch.manual_seed(config.seed)
-    # Weights that are used have no normalisation layers: training goes on from them without.
-    begun = PriorNetwork(normalised=True) if config.start is None else started_from(config.start)
+    resumed = config.cache and (config.cache / FIT_FILE).is_file()
     fit(begun, training, config, tests["known_families"])
+    trained = perf_counter()
     network = begun.plain() if config.start is None else mixed(begun, started_from(config.start), config.keep)
     save_weights(network, config.out)
     written, on_cpu = OcclusionPrior.load(config.out).network, torch.device("cpu")
     record = {
         "command": "python -m tools.train_prior " + _options(config),
         "config": {key: value for key, value in asdict(config).items() if key not in PLACES},
-        "start": None if config.start is None else _record_of(config.start),
+        "start": earlier,
         "training_objects": len(training),
         "training_families": list(TRAINING_FAMILIES),
         "held_out_families": list(HELD_OUT_FAMILIES),
@@ -141,7 +144,7 @@ def train(config: TrainConfig) -> dict:
         "household": None if config.household is None else _household_record(config.household),
         "scores": {name: score(written, Batches(judged, on_cpu)) for name, judged in tests.items()},
         "data_s": None if kept else round(made - start),
-        "train_s": round(perf_counter() - made),
+        "train_s": None if resumed else round(trained - made),
         "trained_on": torch.cuda.get_device_name() if config.device == "cuda" else "processor",
         "threads": torch.get_num_threads(),
         "torch": torch.__version__,
@@ -168,8 +171,11 @@ def mixed(network: PriorNetwork, other: PriorNetwork, share: float) -> PriorNetw
 
 
 def _record_of(weights: Path) -> dict:
-    """How the weights that training went on from were made."""
-    record = json.loads(weights.with_suffix(".json").read_text())
+    """How the weights that training goes on from were made."""
+    path = weights.with_suffix(".json")
+    if not path.is_file():
+        raise DataError(f"{path}: the record beside the weights is missing; --start needs it")
+    record = json.loads(path.read_text())
     wanted = ("command", "data", "start", "household", "training_objects", "trained_on", "torch", "numpy")
     return {name: record[name] for name in wanted if name in record}
 
