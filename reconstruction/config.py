@@ -10,7 +10,18 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from mapping.config import FitConfig, ModelConfig
 from mapping.errors import ConfigError
-from mapping.settings import Checked, Count, Length, NotNegative, OpenShare, Positive, Range, Share, override
+from mapping.settings import (
+    Checked,
+    Count,
+    CountOrNone,
+    Length,
+    NotNegative,
+    OpenShare,
+    Positive,
+    Range,
+    Share,
+    override,
+)
 from perception.config import PerceptionConfig
 
 LatticeSpacing = Annotated[float, Range(least=0.0005, most=0.2)]
@@ -157,6 +168,8 @@ class FusionConfig(Checked):
     hidden."""
     unseen_walls: bool = True
     """Tunnels through an object that no ray passed are closed, where the map thinks a wall likeliest."""
+    fair: CountOrNone = 5
+    """Rounds of smoothing where the surface was not measured, and at outlines; 0: teeth and steps stay."""
 
 
 @dataclass(frozen=True)

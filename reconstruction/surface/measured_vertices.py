@@ -1,4 +1,4 @@
-"""How much of a surface's uncertainty is left where the surface was measured.
+"""Which vertices of a surface were measured: how much uncertainty is left there, how freely they may move.
 
 Knows readings of depth images; knows nothing of maps, lattices or meshes. The map's p(uncertain) says whether
 a place was observed; around a surface it changes within millimetres from one to the other. A vertex lies on
@@ -29,5 +29,20 @@ def share_left(edges: Edges | JointEdges, points: np.ndarray, before: np.ndarray
     left = np.ones(len(points), np.float32) if before is None else before.copy()
     views = edges.views if isinstance(edges, JointEdges) else (edges,)
     for view in views if before is None else views[-1:]:
-        view.leave(points, min(max(WITHIN, NOISES * view.noise), MOST), LEAST, left)
+        view.leave(points, _within(view), LEAST, left)
     return left
+
+
+def free_to_move(edges: Edges | JointEdges, points: np.ndarray) -> np.ndarray:
+    """How freely (N,) vertices (N, 3) [m] may be moved: 0 on what was measured, 1 away from it, at the edges
+    of the object's image and where no ray shows the object."""
+    points = np.ascontiguousarray(points, np.float32)
+    free = np.ones(len(points), np.float32)
+    for view in edges.views if isinstance(edges, JointEdges) else (edges,):
+        view.hold(points, _within(view), free)
+    return free
+
+
+def _within(view: Edges) -> float:
+    """What is no farther from what its ray measured was measured [m]."""
+    return min(max(WITHIN, NOISES * view.noise), MOST)

@@ -14,10 +14,11 @@ import trimesh
 from reconstruction.config import MeshConfig
 from reconstruction.surface.closed_solid import ClosedSolid
 from reconstruction.surface.exclusive import exclusive
+from reconstruction.surface.faired import faired
 from reconstruction.surface.field import Field
 from reconstruction.surface.fusion import fuse
 from reconstruction.surface.joint_surface import JointEdges, JointSurface
-from reconstruction.surface.measured_vertices import share_left
+from reconstruction.surface.measured_vertices import free_to_move, share_left
 from reconstruction.surface.refined import values_at
 from reconstruction.surface.revolved import RevolvedEdges
 from reconstruction.surface.seen_cells import nodes_of_seen_cells
@@ -30,7 +31,8 @@ RULED_OUT = -4.0
 """Where its log odds are below this, the map is sure that a node is not of the object, seen cell or not."""
 SEEN_LOG_ODDS = 2.0
 """Log odds given to the nodes that seen cells are kept by."""
-
+MOVED = 1.0
+"""Fairing moves a vertex by no more than so many cells."""
 
 GUESSED, KNOWN, THIN_WALLED = range(3)
 """Which object yields where two claim a place: what the map guesses to what follows from what was seen, and a
@@ -161,6 +163,10 @@ def mesh_of(
     vertices, faces = found.solid.surface()
     nodes = vertices / found.refine + found.start  # of the map's lattice
     vertices = corner + field.spacing * nodes
+    if found.edges is not None and config.fusion.fair:
+        free = free_to_move(found.edges, vertices)
+        vertices = faired(vertices, faces, free, config.fusion.fair, MOVED * field.spacing / found.refine)
+        nodes = (vertices - corner) / field.spacing
     if config.simplify:
         vertices, faces = simplified(vertices, faces, config.simplify)
         nodes = (vertices - corner) / field.spacing

@@ -25,7 +25,10 @@ LEAST_LATERAL = np.float32(5e-5)
 SHAVED = 0.1
 """An outline is taken to be so much inside of the middle between pixels [px]: free space that was measured
 stays free although a lattice rounds outlines off."""
+OUTERMOST = 2.0
+"""How far from the outermost pixels of an object's image its surface is sure not to be torn [px]."""
 _FAR, _ZERO = np.float32(FAR), np.float32(0)
+_OUTERMOST = np.float32(OUTERMOST)
 _INSIDE, _BESIDE = np.float32(0.5 + SHAVED), np.float32(0.5 - SHAVED)
 
 
@@ -125,6 +128,27 @@ def leave(points: np.ndarray, image: Image, own: int, within: float, least: floa
             off = abs(a * x + d * y + c * z - planes[at, 3]) / within
             if off < left[i] and (a != _ZERO or d != _ZERO or c != _ZERO):
                 left[i] = max(off, least)
+
+
+@compiled
+def hold(points: np.ndarray, image: Image, outline: Outline, within: float, free: np.ndarray) -> None:
+    """Lower free (N,) where points (N, 3) float32 [m] are near what the object shows on their ray: to 0
+    there, linearly to 1 at a distance of `within` [m]; less near the edges of its image, and not at them."""
+    A, b, _, owners, _, planes = image
+    own, _, top, left, nearest, edge_pixels, _ = outline
+    rows, columns = owners.shape
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        _, u, v, row, column = _pixel_of(x, y, z, A, b)
+        if 0 <= column < columns and 0 <= row < rows and owners[row, column] == own:
+            at = row * columns + column
+            off = abs(planes[at, 0] * x + planes[at, 1] * y + planes[at, 2] * z - planes[at, 3]) / within
+            if off < free[i]:
+                edge = nearest[0, row - top, column - left]
+                if edge > 0:
+                    du, dv = u - edge_pixels[edge, 0], v - edge_pixels[edge, 1]
+                    off = max(off, _OUTERMOST - np.sqrt(du * du + dv * dv))
+                free[i] = min(free[i], off)
 
 
 @compiled

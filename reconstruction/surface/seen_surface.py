@@ -23,6 +23,7 @@ from reconstruction.surface.reading import (
     Outline,
     Reading,
     faced,
+    hold,
     leave,
     read_into,
     read_points,
@@ -212,6 +213,12 @@ class Edges:
         """Lower left (N,) float32 at points (N, 3) float32 in one piece [m] that are near what the object
         shows on their ray: to `least` there, linearly to 1 at a distance of `within` [m]."""
         leave(points, self.seen.image, self.index, np.float32(within), np.float32(least), left)
+
+    def hold(self, points: np.ndarray, within: float, free: np.ndarray) -> None:
+        """Lower free (N,) float32 at points (N, 3) float32 in one piece [m] that are near what the object
+        shows on their ray, unless at an edge of it: to 0 there, linearly to 1 at a distance of `within`
+        [m]."""
+        hold(points, self.seen.image, self.outline, np.float32(within), free)
 
     def behind(self, points: np.ndarray, distance: float) -> np.ndarray:
         """Points (N, 3) moved by `distance` [m] away from the camera."""

@@ -15,8 +15,8 @@ from reconstruction.solid import Solid
 
 PROBE = 0.0025
 """True handles are those through which a ball of this radius fits [m]."""
-NODES = 72
-"""The lattice on which they are counted has no more nodes along an axis; its spacing is PROBE or more."""
+COARSE = 4
+"""Of so many nodes along each axis, the middle tells whether all are far from the surface."""
 
 
 def handles_and_parts(mesh: trimesh.Trimesh) -> tuple[int | None, int]:
@@ -42,14 +42,28 @@ def true_handles(solid: Solid) -> int:
     """Handles of a solid through which a ball of radius PROBE fits: its genus when it is grown by so much."""
     from skimage.measure import marching_cubes
 
-    low, high = solid.mesh.bounds
-    spacing = max(PROBE, float((high - low).max()) / NODES)
-    axes = [np.arange(a - 3 * spacing, b + 3 * spacing, spacing) for a, b in zip(low, high)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    within = PROBE - solid.distance(grid.astype(np.float32))
+    within = _grown(solid)
     # What the grown surface encloses is inside.
     enclosed = ndimage.binary_fill_holes(within > 0) & (within <= 0)
     within[enclosed] = PROBE
     vertices, faces, _, _ = marching_cubes(within, 0.0)
     handles, _ = handles_and_parts(trimesh.Trimesh(vertices, faces, process=False))
     return handles or 0
+
+
+def _grown(solid: Solid) -> np.ndarray:
+    """How far nodes (nx, ny, nz), PROBE apart, are within a solid that is grown by PROBE [m]; far from its
+    surface only the sign is right."""
+    low, high = solid.mesh.bounds
+    counts = np.ceil((high - low) / (PROBE * COARSE)).astype(int) + 2
+    first = low - 3 * PROBE
+    block = np.stack(np.meshgrid(*3 * [np.arange(COARSE)], indexing="ij"), -1).reshape(-1, 3) * PROBE
+    corners = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), -1).reshape(-1, 3)
+    corners = (first + corners * (COARSE * PROBE)).astype(np.float32)
+    middle = PROBE - solid.distance((corners + block.mean(0)).astype(np.float32))
+    within = np.repeat(middle[:, None], COARSE**3, 1)
+    near = np.abs(middle) <= 1.01 * np.linalg.norm(block.mean(0))
+    nodes = (corners[near, None] + block).astype(np.float32)
+    within[near] = PROBE - solid.distance(nodes.reshape(-1, 3)).reshape(len(nodes), -1)
+    split = within.reshape(*counts, COARSE, COARSE, COARSE).transpose(0, 3, 1, 4, 2, 5)
+    return split.reshape(COARSE * counts)

@@ -27,6 +27,7 @@ SURFACE_COLUMNS = {
     "handles_right": "handles right",
     "vessel_handles_right": "of vessels half seen",
     "parts": "parts",
+    "creases_excess_per_m": "creases, more than true [1/m]",
     "wall_excess_mm": "walls too thick [mm]",
     "vessel_wall_mm": "of vessels, across [mm]",
     "iou_2_5mm": "IoU 2.5 mm",
@@ -42,7 +43,8 @@ CARD_COLUMNS = {
     "ece": "ECE",
 }
 DIGITS = {"chamfer_mm": 1, "chamfer_5mm": 1, "visible_mm": 1, "hidden_mm": 1, "aurc": 4, "ause": 4, "ece": 4}
-DIGITS |= {"normal_deg": 1, "handles": 2, "parts": 2, "wall_excess_mm": 1, "vessel_wall_mm": 1}
+DIGITS |= {"normal_deg": 1, "handles": 2, "parts": 2, "creases_excess_per_m": 1}
+DIGITS |= {"wall_excess_mm": 1, "vessel_wall_mm": 1}
 """Digits after the point, 3 for all others."""
 
 
