@@ -168,7 +168,7 @@ class FusionConfig(Checked):
     hidden."""
     unseen_walls: bool = True
     """Tunnels through an object that no ray passed are closed, where the map thinks a wall likeliest."""
-    fair: CountOrNone = 5
+    fair: CountOrNone = 4
     """Rounds of smoothing where the surface was not measured, and at outlines; 0: teeth and steps stay."""
 
 

@@ -22,7 +22,7 @@ BEYOND = np.float32(1e6)
 """Pixel coordinates beyond this are outside of any image."""
 LEAST_LATERAL = np.float32(5e-5)
 """Points exactly on the edge are beside it [m]."""
-SHAVED = 0.1
+SHAVED = 0.05
 """An outline is taken to be so much inside of the middle between pixels [px]: free space that was measured
 stays free although a lattice rounds outlines off."""
 OUTERMOST = 2.0
