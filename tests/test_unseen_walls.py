@@ -101,7 +101,7 @@ def test_slips_of_the_lattice_are_closed_where_the_wall_is(width: int, narrow: b
         across = np.abs((nodes - middle) @ aside - side)
         holes |= (np.maximum(across, np.abs(rise)) < spacing * width / 2) & (away > 0) & (shell > -4)
     shell[holes] = -1.0
-    walled = with_unseen_walls(shell, corner, spacing, edges, item.points, narrow)
+    walled = with_unseen_walls(shell, corner, spacing, edges, narrow)
     if not closed:
         assert walled is None
     else:

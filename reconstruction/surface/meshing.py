@@ -146,7 +146,7 @@ def object_solid(
         for narrow in (True, False) if shape is not None else (False,):
             if not solid.has_tunnel:
                 break
-            walled = with_unseen_walls(log_odds, *lattice, edges, seen, narrow)
+            walled = with_unseen_walls(log_odds, *lattice, edges, narrow)
             if walled is not None:
                 log_odds = walled
                 solid = ClosedSolid.of(log_odds, config.smallest_part, cells) or solid
