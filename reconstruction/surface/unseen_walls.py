@@ -35,7 +35,7 @@ HELD = 0.3
 SMOOTH = 1.0
 """Standard deviation of the smoothing of new walls [nodes]."""
 MOST_HIDDEN = 150_000
-"""Of more hidden nodes only those nearest to the rest of the object may be of a wall, for so many take time."""
+"""Of more hidden nodes only those nearest to the rest of the object may be of a wall: so many take time."""
 AROUND = 6
 """Nodes around walls that they change: as far as they are smoothed."""
 FEW = 16
