@@ -29,6 +29,9 @@ THINNEST = 0.0045
 """A wall of which both sides are known is at least so thick [m]: less falls between a lattice's nodes."""
 SLIT = 3
 """Gaps of fewer cells in the table are closed."""
+SPECK = 0.1
+"""What is apart from the rest of the body in the half plane, and less than this share of the largest piece,
+is of stray points: turned about the axis, it would be a ring."""
 SLOPE, RAMP = 0.001, 3
 """Beside what is the body's [m] empty space is no emptier than it is far, within so many cells: a lattice
 makes steps of a steeper slope."""
@@ -71,7 +74,20 @@ def depth_table(profile: np.ndarray, inwards: np.ndarray, low: float, empty: np.
     ends = empty & (beyond > ENDED)
     depth[ends] = np.minimum(depth[ends], LIP - beyond[ends])
     depth = np.where(np.isfinite(depth), depth, np.where(empty, EMPTY, UNKNOWN)).astype(np.float32)
-    return ndimage.grey_closing(depth, SLIT)
+    depth = ndimage.grey_closing(depth, SLIT)
+    depth[_specks(depth)] = EMPTY
+    return depth
+
+
+def _specks(depth: np.ndarray) -> np.ndarray:
+    """Which places (R, Z) bool of a table (R, Z) are of pieces of the body that are small, and known all
+    round."""
+    pieces, count = ndimage.label(depth >= 0, np.ones((3, 3)))
+    known = depth < UNKNOWN
+    sizes = np.bincount(pieces[known], minlength=count + 1)
+    small = sizes < SPECK * max(sizes[1:], default=0)
+    small[pieces[~known]] = small[0] = False
+    return small[pieces]
 
 
 def is_vessel(inwards: np.ndarray) -> bool:

@@ -17,6 +17,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from reconstruction.surface.handle_width import handle_width
 from reconstruction.surface.joint_surface import JointEdges, normals_of
 from reconstruction.surface.profile_depth import (
     CELL,
@@ -54,8 +55,8 @@ COARSE = 3
 """Rays are asked at one cell in so many along radius and height."""
 BEYOND = 0.015
 """The half plane reaches this far beyond the measured points [m]."""
-HANDLE = 0.015
-"""What is seen off the circles may be this thick [m]."""
+HANDLE = 0.006, 0.015
+"""What is seen off the circles is at least and at most this thick [m]."""
 MEASURED = 0.0005
 """What lies no farther behind what was measured [m] is read as it was."""
 STEEP = 0.05
@@ -70,7 +71,8 @@ class RevolvedEdges:
     """The edges of a body of revolution: they say more of what is hidden.
 
     edges: what was measured; body: what it is measured of; circles: (M, 3) points of its surface all round;
-    wall: what is measured is at least so thick [m]; full: its unknown inside is taken for more of it.
+    wall: what is measured is at least so thick [m]; handle: what is seen off the circles is no thicker [m];
+    full: its unknown inside is taken for more of it.
     """
 
     never_hollow: ClassVar[bool] = False
@@ -79,6 +81,7 @@ class RevolvedEdges:
     body: RoundBody
     circles: np.ndarray
     wall: float
+    handle: float
     full: bool = False
 
     @classmethod
@@ -148,7 +151,10 @@ class RevolvedEdges:
         full = from_outside and hollow is None
         angles = max(ANGLES, int(np.ceil(2 * np.pi * radius.max() / ARC)))
         circles = _around(axis, radius[first][whole], points[first, 2][whole], angles)
-        return cls(edges, RoundBody(turn, axis, low, depth), circles.reshape(-1, 3) @ turn, wall, full)
+        body = RoundBody(turn, axis, low, depth)
+        sticks_out = bool((body.depth(points @ turn) < -NEAR).any())
+        handle = float(np.clip(handle_width(edges, body) if sticks_out else 0.0, *HANDLE))
+        return cls(edges, body, circles.reshape(-1, 3) @ turn, wall, handle, full)
 
     def ended(self, log_odds: np.ndarray, corner: np.ndarray, spacing: float) -> RevolvedEdges:
         """The same with ends where nobody saw them, by the map's log odds (nx, ny, nz) at
@@ -166,7 +172,7 @@ class RevolvedEdges:
         rows, depth = rows[known], depth[known]
         behind = reading.depth[rows]
         # What lies close behind a handle is the handle.
-        close = np.flatnonzero((depth < 0) & (behind < HANDLE))
+        close = np.flatnonzero((depth < 0) & (behind < self.handle))
         if len(close):
             near = points[rows[close]]
             shown = self._shown(near, behind[close], normals_of(self.edges, near))
@@ -200,7 +206,7 @@ class RevolvedEdges:
         depth = self.body.depth(points)
         depth[depth >= NEAR] = np.nan
         beyond = np.flatnonzero(depth < 0)
-        handle = self.edges.read(points[beyond]).depth < HANDLE
+        handle = self.edges.read(points[beyond]).depth < self.handle
         depth[beyond[handle]] = np.nan
         return depth
 
