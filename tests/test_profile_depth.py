@@ -57,6 +57,18 @@ def test_a_few_wrong_normals_open_no_wall() -> None:
     np.testing.assert_allclose(of_all[near], of_right[near], atol=5e-4)
 
 
+def test_stray_points_in_a_cavity_make_no_ring() -> None:
+    (outer, out), (inner, into) = upright(0.04), upright(0.035, inside=True)
+    profile, inwards = np.concatenate([outer, inner]), np.concatenate([out, into])
+    empty = rays_passed(0.066, beyond=0.043)
+    empty[: cell(0.034, 0)[0]] = True
+    stray = np.array([[0.02, 0.04], [0.0203, 0.0404], [0.0198, 0.0408]])
+    with_stray = np.concatenate([profile, stray]), np.concatenate([inwards, np.tile([1.0, 0.0], (3, 1))])
+    clean, found = depth_table(profile, inwards, LOW, empty), depth_table(*with_stray, LOW, empty)
+    np.testing.assert_array_equal(found >= 0, clean >= 0)
+    assert found[cell(0.02, 0.04)] < 0
+
+
 def test_both_sides_of_a_thin_wall_are_kept() -> None:
     sides = upright(0.04), upright(0.037, inside=True)
     profile, inwards = (np.concatenate(part) for part in zip(*sides))

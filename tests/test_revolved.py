@@ -12,7 +12,8 @@ from scipy.spatial import cKDTree
 
 from perception.observing import observe
 from reconstruction.config import FusionConfig
-from reconstruction.surface.revolved import RevolvedEdges
+from reconstruction.surface.handle_width import handle_width
+from reconstruction.surface.revolved import HANDLE, RevolvedEdges
 from reconstruction.surface.seen_surface import Edges, SeenSurface
 from reconstruction.surface.slanted_axis import slanted_axis
 from reconstruction.surface.unseen_cavity import DEEP
@@ -119,6 +120,25 @@ def revolved(name: str) -> RevolvedEdges | None:
 @pytest.mark.parametrize("name", SOLIDS)
 def test_round_things_are_told_from_cartons(name: str) -> None:
     assert (revolved(name) is not None) == (name in ("can", "lying can", "drum", "ball"))
+
+
+@pytest.mark.parametrize("width", [0.006, 0.012, None])
+def test_a_handle_is_about_as_thick_as_it_is_wide(width: float | None) -> None:
+    # A strap that stands beside the can, turned to the camera.
+    strap = Shape("box", (width or 0.01, width or 0.01, 0.09), (0.03, 0.085, 0.05))
+    frame = make_tabletop((CAN, strap), size=(640, 480)).frame
+    assert frame.labels is not None
+    kept = np.where(frame.labels == 2, 1 if width else 0, frame.labels).astype(frame.labels.dtype)
+    observation = observe(replace(frame, labels=kept))
+    edges = SeenSurface.of(observation, floors=[-0.0015]).edges(0)
+    shape = round_body(edges, observation.objects[0].points)
+    assert shape is not None
+    found = handle_width(edges, shape.body)
+    if width is None:
+        assert found == 0
+    else:
+        assert found == pytest.approx(width, rel=0.35)
+        assert shape.handle == np.clip(found, *HANDLE)
 
 
 def ring(edges: RevolvedEdges, radius: float, angle: np.ndarray) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -9,7 +11,10 @@ from conftest import Shape, make_tabletop
 from scipy import ndimage
 
 from perception.observing import observe
+from reconstruction.surface import unseen_walls
 from reconstruction.surface.closed_solid import ClosedSolid
+from reconstruction.surface.profile_depth import EMPTY
+from reconstruction.surface.round_body import RoundBody
 from reconstruction.surface.seen_surface import SeenSurface
 from reconstruction.surface.tunnels import in_one_piece, membranes
 from reconstruction.surface.unseen_walls import NEAR, with_unseen_walls
@@ -79,11 +84,9 @@ def test_a_solid_without_tunnels_and_parts_apart_stay_as_they_are() -> None:
     assert not membranes(solid, within(solid), np.zeros(SHAPE)).any()
 
 
-@pytest.mark.parametrize(
-    ("width", "narrow", "closed"), [(2, True, True), (12, True, False), (12, False, True)]
-)
-def test_slips_of_the_lattice_are_closed_where_the_wall_is(width: int, narrow: bool, closed: bool) -> None:
-    """Two holes through the far wall of a ball's shell, which no ray reached."""
+def shell_with_holes(width: int) -> tuple[tuple, np.ndarray]:
+    """What with_unseen_walls is given of a ball's shell with two holes, so many nodes wide, through its far
+    wall, which no ray reached; and the holes' nodes."""
     observation = observe(make_tabletop((Shape("sphere", (0.05,), (0.0, 0.0, 0.05)),)).frame)
     edges, spacing = SeenSurface.of(observation).edges(0), 0.0025
     item = observation.objects[0]
@@ -101,18 +104,59 @@ def test_slips_of_the_lattice_are_closed_where_the_wall_is(width: int, narrow: b
         across = np.abs((nodes - middle) @ aside - side)
         holes |= (np.maximum(across, np.abs(rise)) < spacing * width / 2) & (away > 0) & (shell > -4)
     shell[holes] = -1.0
-    walled = with_unseen_walls(shell, corner, spacing, edges, narrow)
+    return (shell, corner, spacing, edges, item.points), holes
+
+
+@pytest.mark.parametrize(
+    ("width", "narrow", "closed"), [(2, True, True), (12, True, False), (12, False, True)]
+)
+def test_slips_of_the_lattice_are_closed_where_the_wall_is(width: int, narrow: bool, closed: bool) -> None:
+    given, holes = shell_with_holes(width)
+    walled = with_unseen_walls(*given, narrow)
     if not closed:
         assert walled is None
     else:
         assert walled is not None
-        found, before = ClosedSolid.of(walled, 0.05), ClosedSolid.of(shell, 0.05)
+        found, before = ClosedSolid.of(walled, 0.05), ClosedSolid.of(given[0], 0.05)
         assert found is not None
         assert before is not None
         assert before.has_tunnel
         assert not found.has_tunnel
-        raised = (walled > 0) & (shell <= 0)
+        raised = (walled > 0) & (given[0] <= 0)
         assert 0 < raised.sum() <= holes.sum() + 8 * NEAR * width
+
+
+@pytest.mark.parametrize(("width", "closed"), [(4, True), (12, False)])
+def test_of_many_hidden_nodes_those_beside_the_object_are_looked_at(
+    width: int, closed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(unseen_walls, "MOST_HIDDEN", 12_000)
+    walled = with_unseen_walls(*shell_with_holes(width)[0])
+    assert (walled is not None) == closed
+    assert walled is None or genus(walled > 0) == 0
+
+
+def test_what_lies_in_a_vessel_does_not_open_its_floor() -> None:
+    """A tube in the shadow of a ball that is farther away than the nearest that is seen of the tube's object:
+    of a vessel, rays ended on the ball and did not pass the floor."""
+    near = Shape("box", (0.03, 0.05, 0.04), (-0.15, 0.0, 0.02))
+    ball = Shape("sphere", (0.06,), (0.1, 0.0, 0.06))
+    observation = observe(make_tabletop((near, ball)).frame)
+    own, other = sorted(range(2), key=lambda index: observation.objects[index].label)
+    edges = SeenSurface.of(observation).edges(own)
+    tube = np.where(cup(bottom=False), 2.0, -2.0).astype(np.float32)
+    corner = edges.behind(observation.objects[other].points, 0.06).mean(0) - 0.0025 * np.array(SHAPE) / 2
+    given = tube, corner, 0.0025, edges, observation.objects[own].points
+    middle = corner[:2] + 0.0025 * 11.5
+    vessel = RoundBody(np.eye(3, dtype=np.float32), middle, corner[2], np.full((12, 40), 0.001, np.float32))
+    walled = with_unseen_walls(*given, vessel=vessel)
+    assert walled is not None
+    assert genus(tube > 0) == 1
+    assert genus(walled > 0) == 0
+    # Of another thing, or beside the vessel, it may be seen through a handle.
+    beside = replace(vessel, table=np.full((12, 40), EMPTY, np.float32))
+    assert with_unseen_walls(*given) is None
+    assert with_unseen_walls(*given, vessel=beside) is None
 
 
 @pytest.mark.parametrize("seed", range(3))

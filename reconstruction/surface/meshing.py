@@ -143,10 +143,11 @@ def object_solid(
     if edges is not None and seen is not None and config.fusion.unseen_walls:
         lattice = corner + field.spacing * start, field.spacing / refine
         # Where the walls of a known shape are is known: their holes are closed there.
+        vessel = shape.body if isinstance(shape, RevolvedEdges) and not shape.full else None
         for narrow in (True, False) if shape is not None else (False,):
             if not solid.has_tunnel:
                 break
-            walled = with_unseen_walls(log_odds, *lattice, edges, narrow)
+            walled = with_unseen_walls(log_odds, *lattice, edges, seen, narrow, vessel)
             if walled is not None:
                 log_odds = walled
                 solid = ClosedSolid.of(log_odds, config.smallest_part, cells) or solid

@@ -13,6 +13,8 @@ from reconstruction.surface.fusion import PER_METRE, places
 from reconstruction.surface.hull_nodes import in_hull
 from reconstruction.surface.joint_surface import JointEdges
 from reconstruction.surface.neighbours import beside, nodes_off, smoothed
+from reconstruction.surface.reading import FAR
+from reconstruction.surface.round_body import RoundBody
 from reconstruction.surface.seen_surface import Edges
 from reconstruction.surface.tunnels import membranes
 from reconstruction.surface.vertices_apart import LEAST_VALUE
@@ -36,11 +38,13 @@ SMOOTH = 1.0
 """Standard deviation of the smoothing of new walls [nodes]."""
 MOST_HIDDEN = 150_000
 """Of more hidden nodes only those nearest to the rest of the object may be of a wall: so many take time."""
+OUTSIDE_OF_BODY = -0.004
+"""What lies no deeper in a body of revolution [m] is beside it: handles are."""
 AROUND = 6
 """Nodes around walls that they change: as far as they are smoothed."""
 FEW = 16
 """One node in so many tells whether there are more than that."""
-_PER_METRE = np.float32(PER_METRE)
+_FAR, _PER_METRE = np.float32(FAR), np.float32(PER_METRE)
 _LEAST, _ZERO, _FARTHER = np.float32(LEAST), np.float32(0), np.float32(FARTHER)
 
 
@@ -49,12 +53,15 @@ def with_unseen_walls(
     corner: np.ndarray,
     spacing: float,
     edges: Edges | JointEdges,
+    seen: np.ndarray,
     narrow: bool = False,
+    vessel: RoundBody | None = None,
 ) -> np.ndarray | None:
     """The log odds (nx, ny, nz) of one object with walls across tunnels that no ray passed; None without any.
 
-    Lattice at corner + spacing * (i, j, k) [m, table frame]; edges: of the object's image; narrow: only
-    across tunnels that are slips of the lattice's.
+    Lattice at corner + spacing * (i, j, k) [m, table frame]; edges: of the object's image; seen: (N, 3)
+    measured points of it [m]; narrow: only across tunnels that are slips of the lattice's; vessel: what the
+    object is known to be, if it is one.
     """
     box = extent(log_odds)
     if box is None:
@@ -74,12 +81,12 @@ def with_unseen_walls(
     lattice = values.shape, corner + spacing * first, spacing
     if len(nodes) > MOST_HIDDEN:
         few = nodes[::FEW]
-        unpassed = ~np.isnan(_unpassed(places(few, *lattice), edges, grazed))
+        unpassed = ~np.isnan(_unpassed(places(few, *lattice), edges, seen, grazed, vessel))
         if np.count_nonzero(unpassed) > MOST_HIDDEN // FEW:
             nearest = np.sort(off.reshape(-1)[few[unpassed]])
             nodes = nodes[off.reshape(-1)[nodes] < nearest[MOST_HIDDEN // FEW]]
     reach = np.full(values.shape, np.nan, np.float32)
-    reach.reshape(-1)[nodes] = _unpassed(places(nodes, *lattice), edges, grazed)
+    reach.reshape(-1)[nodes] = _unpassed(places(nodes, *lattice), edges, seen, grazed, vessel)
     wall = membranes(solid, ~np.isnan(reach), _likely(values, off))
     around = extent(wall)
     if around is None:
@@ -123,12 +130,19 @@ def _add_walls(values: np.ndarray, level: np.ndarray, wall: np.ndarray, reach: n
                     values[i, j, k] = max(values[i, j, k], new)
 
 
-def _unpassed(points: np.ndarray, edges: Edges | JointEdges, grazed: float) -> np.ndarray:
+def _unpassed(
+    points: np.ndarray,
+    edges: Edges | JointEdges,
+    seen: np.ndarray,
+    grazed: float,
+    vessel: RoundBody | None,
+) -> np.ndarray:
     """How far points (N, 3) [m] are behind what was measured (N,), as log odds; NaN where rays passed more
-    than `grazed` [m] before it. What another object hides, no ray passed: a bowl's floor below its fruit."""
+    than `grazed` [m] before it."""
     if not isinstance(edges, JointEdges):
-        distance = edges.read(points).distance
-        return np.where(distance < -grazed, np.float32(np.nan), _PER_METRE * distance)
+        reading = edges.read(points)
+        _forgive_contents(reading.others, points, vessel)
+        return _reach(points, reading.distance, reading.others, *_eye_of(edges, seen), np.float32(grazed))
     # Most places are passed by the first view's rays: no other view is asked about those.
     reach = np.full(len(points), np.nan, np.float32)
     left = np.flatnonzero(edges.above_floor(points[:, 2]) >= -grazed)
@@ -136,20 +150,74 @@ def _unpassed(points: np.ndarray, edges: Edges | JointEdges, grazed: float) -> n
     readings = np.empty((len(edges.views), 3, len(points)), np.float32)
     for number, view in enumerate(edges.views):
         view.read_into(points, readings[number, :, : len(points)])
-        count = _keep_unpassed(points, left, readings[: number + 1], np.float32(grazed))
+        _forgive_contents(readings[number, 2, : len(points)], points, vessel)
+        count = _keep_unpassed(points, left, readings[: number + 1], *_eye_of(view, seen), np.float32(grazed))
         points, left = points[:count], left[:count]
     readings = np.ascontiguousarray(readings[:, :, : len(points)])
     reach[left] = np.float32(PER_METRE) * edges.together(points, readings).distance
     return reach
 
 
+def _forgive_contents(others: np.ndarray, points: np.ndarray, vessel: RoundBody | None) -> None:
+    """Let no other object be known to hide points (N, 3) [m] within a vessel: rays that ended on what lies in
+    it did not pass its floor. others: (N,) of a reading, changed in place."""
+    if vessel is not None:
+        others[vessel.depth(points) > OUTSIDE_OF_BODY] = _FAR
+
+
+def _eye_of(edges: Edges, seen: np.ndarray) -> tuple[np.ndarray, np.float32]:
+    """Where a camera is (3,) [m], and how near to it the nearest of seen points (N, 3) is."""
+    T = edges.seen.T_camera_table
+    eye = (-T[:3, :3].T @ T[:3, 3]).astype(np.float32)
+    return eye, np.sqrt(squared_distance(seen, eye).min())
+
+
 @compiled
-def _keep_unpassed(points: np.ndarray, left: np.ndarray, readings: np.ndarray, grazed: float) -> int:
+def _passed(
+    point: np.ndarray, distance: float, others: float, eye: np.ndarray, nearest: float, grazed: float
+) -> bool:
+    """Whether a ray of one image is known to have passed a point (3,) [m], or the object on its way."""
+    if distance < -grazed:
+        return True
+    # What is seen before the object hides it; what is seen behind it ends rays that passed it on their way to
+    # a point. Of points before what is seen, how far from the outline they are tells.
+    if not 0 < others < _FAR:
+        return False
+    x, y, z = point[0] - eye[0], point[1] - eye[1], point[2] - eye[2]
+    return bool(np.sqrt(x * x + y * y + z * z) - others > nearest)
+
+
+@compiled
+def _reach(
+    points: np.ndarray,
+    distance: np.ndarray,
+    others: np.ndarray,
+    eye: np.ndarray,
+    nearest: float,
+    grazed: float,
+) -> np.ndarray:
+    """`_unpassed` of points (N, 3) by a reading of one image (N,)."""
+    reach = np.empty(len(points), np.float32)
+    for n in range(len(points)):
+        passed = _passed(points[n], distance[n], others[n], eye, nearest, grazed)
+        reach[n] = np.float32(np.nan) if passed else _PER_METRE * distance[n]
+    return reach
+
+
+@compiled
+def _keep_unpassed(
+    points: np.ndarray,
+    left: np.ndarray,
+    readings: np.ndarray,
+    eye: np.ndarray,
+    nearest: float,
+    grazed: float,
+) -> int:
     """How many of points (N, 3), with their numbers (N,) and readings (V, 3, >= N), the last of these views
-    has not passed; these are moved to the front."""
+    has not passed, as `_passed`; these are moved to the front."""
     count, last = 0, len(readings) - 1
     for n in range(len(points)):
-        if readings[last, 0, n] < -grazed:
+        if _passed(points[n], readings[last, 0, n], readings[last, 2, n], eye, nearest, grazed):
             continue
         left[count], points[count] = left[n], points[n]
         for view in range(last + 1):
@@ -157,3 +225,13 @@ def _keep_unpassed(points: np.ndarray, left: np.ndarray, readings: np.ndarray, g
                 readings[view, part, count] = readings[view, part, n]
         count += 1
     return count
+
+
+@compiled
+def squared_distance(points: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Of points (N, 3) float32 from a place (3,) float32: (N,) [m^2]."""
+    squares = np.empty(len(points), np.float32)
+    for i in range(len(points)):
+        x, y, z = points[i, 0] - place[0], points[i, 1] - place[1], points[i, 2] - place[2]
+        squares[i] = x * x + y * y + z * z
+    return squares
