@@ -165,8 +165,9 @@ def mesh_of(
     nodes = vertices / found.refine + found.start  # of the map's lattice
     vertices = corner + field.spacing * nodes
     if found.edges is not None and config.fusion.fair:
-        free = free_to_move(found.edges, vertices)
+        lowest, free = vertices[:, 2].min(), free_to_move(found.edges, vertices)
         vertices = faired(vertices, faces, free, config.fusion.fair, MOVED * field.spacing / found.refine)
+        vertices[:, 2] = np.maximum(vertices[:, 2], lowest)  # nothing reaches below the floor
         nodes = (vertices - corner) / field.spacing
     if config.simplify:
         vertices, faces = simplified(vertices, faces, config.simplify)

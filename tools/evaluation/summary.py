@@ -89,7 +89,7 @@ def read_results(files: Sequence[Path]) -> list[dict[str, Any]]:
 def json_lines(results: list[dict[str, Any]]) -> str:
     """One short line a result, rounded: each object's IoU and Chamfer distances, the scene's other values.
 
-    No curves and no means of what is listed by object: 1,400 results of six objects each stay below 1 MB.
+    No curves and no means of what is listed by object: 1,100 results of six objects each stay below 1 MB.
     """
     lines = []
     for result in results:
