@@ -9,6 +9,7 @@ from mapping.errors import ConfigError, DataError
 ASKED = 0.8
 """manifold3d is asked for this share of a tolerance: many short collapses add up to more than each."""
 
+
 def simplified(vertices: np.ndarray, faces: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
     """Some of the vertices (N, 3) [m] of a closed surface, (V, 3), and faces (F, 3) between them, closed too.
 
