@@ -139,10 +139,12 @@ def test_parts_are_convex_closed_and_close_to_the_mesh():
         (found,) = convex_parts([mesh])
         assert len(found.parts) >= 3
         for part in found.parts:
-            assert part.is_watertight
-            assert part.is_winding_consistent
-            assert part.is_convex
-            assert part.volume > 0
+            assert part.mesh.is_watertight
+            assert part.mesh.is_winding_consistent
+            assert part.mesh.is_convex
+            assert part.volume == pytest.approx(part.mesh.volume)
+            assert part.face_normals == pytest.approx(part.mesh.face_normals, abs=1e-4)
+            assert len(part.edges_unique) == len(part.mesh.edges_unique)
         assert found.error_m < 3e-3
         assert (found.missing_m, found.excess_m) == parts_error(mesh, found.parts)
 
@@ -172,7 +174,7 @@ def test_a_mug_stays_open_and_a_box_stays_one_part():
     (cut, box) = convex_parts([mug(), trimesh.creation.box((0.1, 0.2, 0.05))])
     hollow = np.array([[0, 0, z] for z in np.linspace(0.02, MUG_HEIGHT + 0.05, 20)])
     for part in cut.parts:
-        assert not part.contains(hollow).any()
+        assert not part.mesh.contains(hollow).any()
     assert len(box.parts) == 1
     assert box.error_m < 1e-4
 

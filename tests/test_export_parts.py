@@ -12,7 +12,7 @@ from reconstruction.export.collision import ConvexParts, convex_parts
 from reconstruction.export.contacts import Contacts, contacts_of
 from reconstruction.export.cutting import Cutter, solid_of
 from reconstruction.export.footing import PATCH, with_footing
-from reconstruction.export.hulls import convex_hull, surfaces
+from reconstruction.export.hulls import Hull, convex_hull, surfaces
 from reconstruction.export.parts_error import parts_error
 from reconstruction.export.refine import refined
 from reconstruction.export.tips import tips
@@ -28,14 +28,18 @@ def box(size, middle) -> trimesh.Trimesh:
     return found
 
 
+def part(size, middle) -> Hull:
+    return Hull.of(box(size, middle))
+
+
 def prism(corners) -> trimesh.Trimesh:
     """6 cm along y; corners (N, 2): its x and z [m]."""
     ends = [[[x, y, z] for x, z in corners] for y in (-0.03, 0.03)]
-    return convex_hull(np.concatenate(ends))
+    return convex_hull(np.concatenate(ends)).mesh
 
 
 def test_two_boxes_that_overlap_are_cut_at_a_plane_between_them():
-    one, two = box((0.1, 0.1, 0.1), (0, 0, 0)), box((0.1, 0.08, 0.08), (0.095, 0, 0))
+    one, two = part((0.1, 0.1, 0.1), (0, 0, 0)), part((0.1, 0.08, 0.08), (0.095, 0, 0))
     normal, low, high = overlap(one, two, GAP)
     assert np.allclose(normal, [1, 0, 0])
     assert high - low == pytest.approx(0.005)
@@ -44,17 +48,17 @@ def test_two_boxes_that_overlap_are_cut_at_a_plane_between_them():
     assert first.bounds[1, 0] == pytest.approx(0.0475 - GAP / 2)
     assert second.bounds[0, 0] == pytest.approx(0.0475 + GAP / 2)
     assert overlap(first, second, GAP) is None
-    assert first.is_watertight
+    assert first.mesh.is_watertight
     assert second.volume == pytest.approx(0.08 * 0.08 * (0.145 - 0.0475 - GAP / 2))
 
 
 def test_parts_that_do_not_overlap_stay_as_they_are_and_an_object_never_loses_all():
-    one, two, far = box((0.1,) * 3, (0, 0, 0)), box((0.1,) * 3, (0.11, 0, 0)), box((0.1,) * 3, (1, 0, 0))
+    one, two, far = (part((0.1,) * 3, (x, 0, 0)) for x in (0, 0.11, 1))
     apart = kept_apart({1: (one,), 2: (two, far)}, GAP)
     assert apart[1][0] is one
     assert apart[2] == (two, far)
-    tiny = box((1e-3,) * 3, (0, 0, 0))
-    assert kept_apart({1: (box((0.1,) * 3, (0, 0, 0)),), 2: (tiny,)}, GAP)[2]
+    tiny = part((1e-3,) * 3, (0, 0, 0))
+    assert kept_apart({1: (one,), 2: (tiny,)}, GAP)[2]
 
 
 @pytest.mark.parametrize("gap", [mjcf.GAP, urdf.GAP])
@@ -66,7 +70,7 @@ def test_thin_plates_and_a_wedge_that_touch_others_keep_their_shape(gap):
     for meshes in (plates, (wedge, left, right)):
         cut = convex_parts(meshes, workers=1)
         bulging = {
-            label: tuple(convex_hull(part.vertices * 1.02) for part in of_one.parts)
+            label: tuple(convex_hull(one.vertices * 1.02) for one in of_one.parts)
             for label, of_one in enumerate(cut)
         }
         apart = kept_apart(carved(bulging, dict(enumerate(meshes)), gap) if gap else bulging, gap)
@@ -82,32 +86,34 @@ def test_what_bulges_over_a_notch_with_a_neighbour_in_it_is_carved():
     """Planes alone would take a layer from all of the notched block, or off the end of what stands in it."""
     whole, standing = box((0.1, 0.06, 0.03), (0, 0, 0)), box((0.02, 0.06, 0.05), (0, 0, 0.032))
     notched = whole.difference(box((0.02, 0.07, 0.05), (0, 0, 0.032)))
-    meshes, parts = {1: notched, 2: standing}, {1: (whole,), 2: (standing,)}
+    meshes, parts = {1: notched, 2: standing}, {1: (Hull.of(whole),), 2: (Hull.of(standing),)}
     planes, found = kept_apart(parts, GAP), kept_apart(carved(parts, meshes, GAP), GAP)
     errors = [[max(parts_error(meshes[k], of_one[k])) for k in meshes] for of_one in (planes, found)]
     assert max(errors[0]) > 0.0045
     assert max(errors[1]) < 0.0015
     assert all(overlap(part, other, GAP) is None for part in found[1] for other in found[2])
     assert len(found[1]) < 20
-    alone = {1: parts[1], 2: (standing.copy().apply_translation([0.2, 0, 0]),)}
-    apart = carved(alone, {1: notched, 2: alone[2][0]}, GAP)
+    far = standing.copy().apply_translation([0.2, 0, 0])
+    alone = {1: parts[1], 2: (Hull.of(far),)}
+    apart = carved(alone, {1: notched, 2: far}, GAP)
     assert apart[1] is alone[1]
     assert apart[2] is alone[2]
 
 
 def test_a_thin_plate_keeps_its_body_where_it_lies_on_a_thick_one():
     plate, block = box((0.1, 0.1, 0.0012), (0, 0, 0.0006)), box((0.1, 0.1, 0.05), (0, 0, -0.025))
-    apart = kept_apart({1: (plate,), 2: (block,)}, GAP)
+    parts = {1: (Hull.of(plate),), 2: (Hull.of(block),)}
+    apart = kept_apart(parts, GAP)
     assert np.ptp(apart[1][0].vertices[:, 2]) > 0.001
     assert np.ptp(apart[2][0].vertices[:, 2]) == pytest.approx(0.048, abs=2e-4)
-    apart = carved({1: (plate,), 2: (block,)}, {1: plate, 2: block}, GAP)
+    apart = carved(parts, {1: plate, 2: block}, GAP)
     assert np.ptp(apart[1][0].vertices[:, 2]) > 0.001
     assert np.ptp(apart[2][0].vertices[:, 2]) == pytest.approx(0.048, abs=2e-4)
 
 
 @pytest.mark.parametrize(("gap", "distance"), [(mjcf.GAP, 0.0), (urdf.GAP, 0.002)])
 def test_boxes_that_touch_are_as_far_apart_as_the_format_needs(gap, distance):
-    apart = kept_apart({1: (box((0.1,) * 3, (0, 0, 0)),), 2: (box((0.1,) * 3, (0.1, 0, 0)),)}, gap)
+    apart = kept_apart({1: (part((0.1,) * 3, (0, 0, 0)),), 2: (part((0.1,) * 3, (0.1, 0, 0)),)}, gap)
     assert apart[2][0].bounds[0, 0] - apart[1][0].bounds[1, 0] == pytest.approx(distance, abs=1e-6)
 
 
@@ -120,27 +126,27 @@ def test_hulls_in_any_attitude_do_not_overlap_when_cut(seed):
     assert overlap(apart[1][0], apart[2][0], GAP) is None
     for before, after in ((one, apart[1][0]), (two, apart[2][0])):
         corners = after.vertices.astype(np.float32)
-        solid = Solid(before)
+        solid = Solid(before.mesh)
         assert (solid.inside(corners) | (solid.distance(corners) < 1e-5)).all()
 
 
 def test_a_face_without_area_parts_nothing():
-    sliver = box((0.1,) * 3, (0, 0, 0))
+    sliver = part((0.1,) * 3, (0, 0, 0))
     corner = len(sliver.vertices)
     vertices = np.vstack([sliver.vertices, (sliver.vertices[sliver.faces[0]][:2]).mean(0)])
     a, b, _ = sliver.faces[0]
-    flat = trimesh.Trimesh(vertices, np.vstack([sliver.faces, [a, corner, b]]), process=False)
+    flat = Hull(vertices, np.vstack([sliver.faces, [a, corner, b]]))
     assert not flat.face_normals[-1].any()
-    _, low, high = overlap(flat, box((0.1,) * 3, (0.09, 0, 0)), GAP)
+    _, low, high = overlap(flat, part((0.1,) * 3, (0.09, 0, 0)), GAP)
     assert high - low == pytest.approx(0.01)
 
 
 def test_a_part_is_cut_below_a_height_and_dropped_above_it():
-    part = box((0.1,) * 3, (0, 0, 0))
+    cube = part((0.1,) * 3, (0, 0, 0))
     up = np.array([0.0, 0.0, 1.0])
-    assert below(part, up, 0.06) is part
-    assert below(part, up, -0.06) is None
-    assert below(part, up, 0.02).volume == pytest.approx(0.01 * 0.07)
+    assert below(cube, up, 0.06) is cube
+    assert below(cube, up, -0.06) is None
+    assert below(cube, up, 0.02).volume == pytest.approx(0.01 * 0.07)
 
 
 def test_a_hull_over_a_hollow_is_halved_until_it_bulges_no_more():
@@ -197,19 +203,20 @@ def test_a_thin_tip_that_no_part_covers_becomes_a_part_of_its_own():
         0.001, 0.006, transform=trimesh.transformations.translation_matrix([0, 0, 0.0099])
     )
     mesh = block.union(thorn)
-    assert parts_error(mesh, (block,))[0] == pytest.approx(0.0059, abs=1e-4)
-    (tip,) = tips(mesh, (block,), 0.0025)
-    missing, excess = parts_error(mesh, (block, tip))
+    whole = Hull.of(block)
+    assert parts_error(mesh, (whole,))[0] == pytest.approx(0.0059, abs=1e-4)
+    (tip,) = tips(mesh, (whole,), 0.0025)
+    missing, excess = parts_error(mesh, (whole, tip))
     assert missing < 1e-4
     assert excess < 1e-4
-    assert tips(mesh, (block, tip), 0.0025) == []
-    assert tips(mesh, (block,), 0.007) == []
+    assert tips(mesh, (whole, tip), 0.0025) == []
+    assert tips(mesh, (whole,), 0.007) == []
 
 
 def test_flat_things_keep_their_parts_when_they_get_their_foot():
     plate = box((0.1, 0.05, 0.0015), (0, 0, 0.001))  # all of it lies within the patch
     solid = trimesh.util.concatenate([plate, box((0.02, 0.02, 0.02), (0.05, 0, 0.011))])
-    parts = ConvexParts((plate, box((0.02, 0.02, 0.02), (0.05, 0, 0.011))), solid)
+    parts = ConvexParts((Hull.of(plate), part((0.02, 0.02, 0.02), (0.05, 0, 0.011))), solid)
     footed = with_footing(parts, solid, 0.0)
     assert len(footed.parts) == 2
     assert plate.bounds[1, 2] < PATCH
@@ -255,6 +262,7 @@ def test_what_hovers_a_little_gets_feet_down_to_the_support_where_it_is_lowest()
     legs = [box((0.02, 0.02, 0.05), (x, 0, 0.027)) for x in (-0.04, 0.04)]  # their lowest points at z = 2 mm
     top = box((0.1, 0.02, 0.01), (0, 0, 0.057))
     solid = trimesh.boolean.union([*legs, top])
+    legs, top = [Hull.of(leg) for leg in legs], Hull.of(top)
     footed = with_footing(ConvexParts((*legs, top), solid), solid, 0.0)
     lows = sorted(part.bounds[0, 2] for part in footed.parts)
     assert lows == pytest.approx([0, 0, 0.052])
@@ -268,14 +276,14 @@ def test_what_hovers_a_little_gets_feet_down_to_the_support_where_it_is_lowest()
 
 def test_a_part_too_round_for_a_foot_stands_on_a_foot_of_its_own():
     ball = trimesh.creation.icosphere(4, 0.04)
-    cut = with_footing(ConvexParts((ball,), ball), ball, -0.04)
-    patch = [part for part in cut.parts if np.ptp(part.vertices[part.vertices[:, 2] < -0.0399][:, 0]) > 0.02]
+    cut = with_footing(ConvexParts((Hull.of(ball),), ball), ball, -0.04)
+    patch = [one for one in cut.parts if np.ptp(one.vertices[one.vertices[:, 2] < -0.0399][:, 0]) > 0.02]
     assert patch
     assert cut.error_m < 3e-3
 
 
 def test_things_touch_the_support_and_what_is_below_or_beside_them():
-    table_box, upper = box((0.1, 0.1, 0.1), (0, 0, 0.05)), box((0.1, 0.1, 0.1), (0.05, 0, 0.152))
+    table_box, upper = part((0.1,) * 3, (0, 0, 0.05)), part((0.1,) * 3, (0.05, 0, 0.152))
     objects = {1: (table_box,), 2: (upper,)}
     ground = contacts_of(1, objects)
     assert set(np.round(ground.places[:, 2], 3)) == {0.0}  # what lies on it pushes it down
@@ -283,7 +291,7 @@ def test_things_touch_the_support_and_what_is_below_or_beside_them():
     assert set(np.round(resting.places[:, 2], 3)) == {0.1, 0.102}
     assert resting.places[:, 0].min() == pytest.approx(0.0)
     assert np.allclose(resting.pushes, [0, 0, 1])
-    beside = contacts_of(2, {1: (table_box,), 2: (box((0.1,) * 3, (0.102, 0, 0.06)),)})
+    beside = contacts_of(2, {1: (table_box,), 2: (part((0.1,) * 3, (0.102, 0, 0.06)),)})
     assert len(beside.places)
     assert np.allclose(beside.pushes, [1, 0, 0])
     assert len(contacts_of(2, {2: (upper,)}).places) == 0

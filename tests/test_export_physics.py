@@ -15,6 +15,7 @@ from reconstruction.export.collision import ConvexParts
 from reconstruction.export.export_scene import ExportScene
 from reconstruction.export.footing import with_footing
 from reconstruction.export.formats import export
+from reconstruction.export.hulls import Hull
 from tools import export_checks
 from tools.ball_drops import CELL, Hollow, covered, drop_all, hollow
 from tools.export_checks import overlap, stand, summarise
@@ -74,7 +75,7 @@ def test_nothing_reaches_into_the_support_and_the_foot_is_flat(planned):
         assert corners[:, 2].min() == pytest.approx(low, abs=1e-6)
         assert bodies.parts[item.label].error_m < 3e-3
     ball = trimesh.creation.icosphere(3, 0.04)
-    whole = ConvexParts((ball,), ball)
+    whole = ConvexParts((Hull.of(ball),), ball)
     cut = with_footing(whole, ball, -0.039)
     assert np.concatenate([part.vertices for part in cut.parts])[:, 2].min() == pytest.approx(-0.039)
     foot = cut.parts[0].vertices[:, 2] < -0.0389

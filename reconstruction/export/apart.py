@@ -13,9 +13,9 @@ import trimesh
 
 from perception.camera import invert_rigid
 from reconstruction.export.export_object import moved
-from reconstruction.export.hulls import convex_hull
+from reconstruction.export.hulls import Hull, convex_hull
 
-Parts = tuple[trimesh.Trimesh, ...]
+Parts = tuple[Hull, ...]
 THICK = 0.004
 """What is at least this thick gives as much as anything else [m]."""
 
@@ -65,8 +65,8 @@ def _separate(first: list, second: list, one: np.ndarray, two: np.ndarray, gap: 
         normal, low, high = plane
         cut = high - low + gap
         share = share_of_thicker(
-            high - (np.asarray(first[i].vertices) @ normal).min(),
-            (np.asarray(second[j].vertices) @ normal).max() - low,
+            high - (first[i].vertices @ normal).min(),
+            (second[j].vertices @ normal).max() - low,
         )
         first[i] = below(first[i], normal, high - share * cut)
         second[j] = below(second[j], -normal, -low - (1 - share) * cut)
@@ -78,22 +78,19 @@ def share_of_thicker(one: float, two: float) -> float:
     return one**2 / (one**2 + two**2)
 
 
-def boxes(parts: Sequence[trimesh.Trimesh]) -> np.ndarray:
+def boxes(parts: Sequence[Hull | trimesh.Trimesh]) -> np.ndarray:
     """(N, 2, 3) [m]: corners low, high of each part."""
-    corners = [np.asarray(part.vertices) for part in parts]
-    return np.array([[points.min(0), points.max(0)] for points in corners]).reshape(-1, 2, 3)
+    return np.array([part.bounds for part in parts], float).reshape(-1, 2, 3)
 
 
-def overlap(
-    first: trimesh.Trimesh, second: trimesh.Trimesh, gap: float
-) -> tuple[np.ndarray, float, float] | None:
-    """A direction n (3,) along which two convex meshes overlap least, of their faces' normals: the second
+def overlap(first: Hull, second: Hull, gap: float) -> tuple[np.ndarray, float, float] | None:
+    """A direction n (3,) along which two convex parts overlap least, of their faces' normals: the second
     begins at n x = low and the first ends at n x = high > low - gap [m]. None when one of them parts the two
     by `gap`."""
     (low, high), (other_low, other_high) = first.bounds, second.bounds
     if (low >= other_high + gap).any() or (other_low >= high + gap).any():
         return None
-    a, b = np.asarray(first.vertices), np.asarray(second.vertices)
+    a, b = first.vertices, second.vertices
     normals = np.concatenate([first.face_normals, -second.face_normals, np.eye(3), -np.eye(3)])
     normals = normals[np.einsum("ij,ij->i", normals, normals) > 0.5]  # slivers of hulls have none
     ends, begins = (normals @ a.T).max(1), (normals @ b.T).min(1)
@@ -104,15 +101,15 @@ def overlap(
     return normals[best], float(begins[best]), float(ends[best])
 
 
-def below(part: trimesh.Trimesh, normal: np.ndarray, height: float) -> trimesh.Trimesh | None:
-    """What of a convex mesh lies where normal x <= height [m]; None when that is nothing or a splinter."""
-    vertices = np.asarray(part.vertices)
+def below(part: Hull, normal: np.ndarray, height: float) -> Hull | None:
+    """What of a convex part lies where normal x <= height [m]; None when that is nothing or a splinter."""
+    vertices = part.vertices
     above = vertices @ normal - height
     if (above <= 0).all():
         return part
     if (above >= 0).all():
         return None
-    edges = np.asarray(part.edges_unique)
+    edges = part.edges_unique
     ends = above[edges]
     crossed = (ends[:, 0] < 0) != (ends[:, 1] < 0)
     share = (ends[crossed, 0] / (ends[crossed, 0] - ends[crossed, 1]))[:, None]

@@ -15,7 +15,7 @@ import numpy as np
 from perception.camera import invert_rigid, transform
 from reconstruction.export.at_rest import AtRest, at_rest
 from reconstruction.export.collision import ConvexParts
-from reconstruction.export.export_object import ExportObject, moved
+from reconstruction.export.export_object import ExportObject
 from reconstruction.export.unseen_support import WHY, Block
 
 ALIKE = 0.003
@@ -64,7 +64,7 @@ class Bodies:
             for item in self.objects
         }
         placed = {
-            label: tuple(moved(part, self.poses[label]) for part in of_one.parts)
+            label: tuple(part.moved(self.poses[label]) for part in of_one.parts)
             for label, of_one in self.parts.items()
         }
         return at_rest(placed, centres, self.seen_free)

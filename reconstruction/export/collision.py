@@ -25,7 +25,7 @@ from mapping.guarded_files import read_npz
 from reconstruction.export.cut_process import CutFailedError, CutProcess, NoProcessError
 from reconstruction.export.cut_worker import begin
 from reconstruction.export.cutting import Surface
-from reconstruction.export.hulls import convex_hull, surfaces
+from reconstruction.export.hulls import Hull, convex_hull, surfaces
 from reconstruction.export.parts_error import parts_error
 from reconstruction.export.refine import bulges, refined
 from reconstruction.export.tips import tips
@@ -70,13 +70,13 @@ class CollisionConfig:
 class ConvexParts:
     """Convex hulls whose union stands for a mesh, in the mesh's frame.
 
-    parts: closed meshes [m]. mesh: what they stand for. note: why they are coarser than asked for, or "".
+    parts: [m]. mesh: what they stand for. note: why they are coarser than asked for, or "".
     cut: what the mesh was cut into, where these differ from it on purpose. missing_m, excess_m: largest
     distance [m] from the mesh's surface to the parts, and of the parts' surface from within the mesh, over
     the sampled points of parts_error; worked out when first asked for.
     """
 
-    parts: tuple[trimesh.Trimesh, ...]
+    parts: tuple[Hull, ...]
     mesh: trimesh.Trimesh
     note: str = ""
     cut: ConvexParts | None = None
@@ -141,17 +141,18 @@ def _parts_of(
     path = _cached_path([mesh, *beside], config)
     points, note = _read(path), ""
     if points is None:
-        solid, hull = Solid(mesh), mesh.convex_hull
+        solid, hull = Solid(mesh), Hull.of(mesh.convex_hull)
         others = [Solid(other) for other in beside]
         if bulges(surfaces([hull]), solid, config.convex_within, others)[0][0] <= config.convex_within:
             parts = [hull]
         else:
             parts, note = _cut(mesh, solid, config, process, others)
-        points = [np.asarray(part.vertices) for part in parts]
+        points = [part.vertices for part in parts]
         if not note:  # what failed this time, on a busy machine perhaps, is not kept
             _write(path, points)
     # Made of the points in either case: the hull of a hull may differ from it in its last bit.
-    return ConvexParts(tuple(hull for part in points if (hull := convex_hull(part)) is not None), mesh, note)
+    again = (convex_hull(part) for part in points)
+    return ConvexParts(tuple(part for part in again if part is not None), mesh, note)
 
 
 def _cut(
@@ -160,12 +161,10 @@ def _cut(
     config: CollisionConfig,
     process: CutProcess,
     beside: Sequence[Solid],
-) -> tuple[list[trimesh.Trimesh], str]:
+) -> tuple[list[Hull], str]:
     """Convex parts, and why they are not as they were asked for, "" when they are."""
 
-    def finished(
-        begun: Sequence[Surface], halve: Callable[..., list[list[Surface]]]
-    ) -> list[trimesh.Trimesh]:
+    def finished(begun: Sequence[Surface], halve: Callable[..., list[list[Surface]]]) -> list[Hull]:
         parts = refined(begun, solid, halve, config.bulge, beside, SPLINTER)
         return parts + tips(mesh, parts, config.bulge)
 
@@ -185,7 +184,7 @@ def _cut(
             return finished(cutter.hulls, cutter.halve), note
         except CutFailedError as error:
             failed = f"its convex hull: {error}"
-    return [mesh.convex_hull], failed
+    return [Hull.of(mesh.convex_hull)], failed
 
 
 def _coacd(config: CollisionConfig) -> dict[str, Any]:

@@ -74,7 +74,7 @@ def contacts_of(label: int, objects: Mapping[int, Parts]) -> Contacts:
 
 def corners_of(parts: Parts) -> np.ndarray:
     """(N, 3) [m]"""
-    return np.concatenate([np.asarray(part.vertices) for part in parts])
+    return np.concatenate([part.vertices for part in parts])
 
 
 def _near(points: np.ndarray, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
@@ -92,9 +92,8 @@ def _near(points: np.ndarray, parts: Parts) -> tuple[np.ndarray, np.ndarray]:
         near = np.flatnonzero(((points > low) & (points < high)).all(1))
         if len(near) == 0:
             continue
-        faces = np.asarray(parts[number].face_normals)
-        heights = np.einsum("ij,ij->i", faces, parts[number].triangles[:, 0])
-        outside = points[near] @ faces.T - heights
+        faces = parts[number].face_normals
+        outside = points[near] @ faces.T - parts[number].heights
         face = outside.argmax(1)
         depth = outside[np.arange(len(near)), face]
         # Of parts side by side the one that the point is nearest to: the others' faces may be within it.

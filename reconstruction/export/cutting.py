@@ -35,7 +35,7 @@ def hull_surface(hull: Any) -> Surface | None:
     if hull.is_empty() or hull.volume() <= LEAST_VOLUME:
         return None
     found = hull.to_mesh64()
-    return np.array(found.vert_properties[:, :3]), np.array(found.tri_verts)
+    return np.array(found.vert_properties[:, :3]), np.array(found.tri_verts, np.int64)
 
 
 @dataclass(frozen=True)

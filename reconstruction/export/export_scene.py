@@ -17,7 +17,7 @@ import trimesh
 from mapping.errors import ConfigError
 from perception.camera import invert_rigid, transform
 from perception.frame import Frame
-from reconstruction.export.apart import kept_apart, meshes_beside
+from reconstruction.export.apart import Parts, kept_apart, meshes_beside
 from reconstruction.export.bodies import Bodies
 from reconstruction.export.carving import carved
 from reconstruction.export.collision import CollisionConfig, ConvexParts, Cutter, convex_parts
@@ -164,7 +164,7 @@ class ExportScene:
         apart = kept_apart(apart, gap)
         for label, kept in apart.items():
             if kept != placed[label]:
-                own = tuple(moved(part, invert_rigid(poses[label])) for part in kept)
+                own = tuple(part.moved(invert_rigid(poses[label])) for part in kept)
                 found[label] = ConvexParts(own, found[label].mesh, found[label].note, found[label].cut)
         return found
 
@@ -175,10 +175,10 @@ class ExportScene:
         return {item.label: T_table_world @ item.T_world_object for item in self.objects}
 
     @cached_property
-    def _placed(self) -> dict[int, tuple[trimesh.Trimesh, ...]]:
+    def _placed(self) -> dict[int, Parts]:
         """Label -> convex parts [m] in the table frame."""
         return {
-            label: tuple(moved(part, self._poses[label]) for part in of_one.parts)
+            label: tuple(part.moved(self._poses[label]) for part in of_one.parts)
             for label, of_one in self._footed.items()
         }
 

@@ -14,7 +14,7 @@ import trimesh
 
 from reconstruction.export.apart import below
 from reconstruction.export.collision import ConvexParts
-from reconstruction.export.hulls import convex_hull, surfaces
+from reconstruction.export.hulls import Hull, convex_hull, surfaces
 from reconstruction.export.refine import bulges
 from reconstruction.solid import Solid
 
@@ -39,24 +39,24 @@ def with_footing(parts: ConvexParts, solid: trimesh.Trimesh, support: float) -> 
         return parts
     near = min(max(gap, 0.0) + PATCH, BULGE)
     wanted = [part for part in parts.parts if part.bounds[0, 2] < support + near]
-    whole = [_footed(np.asarray(part.vertices), support, near) for part in wanted]
+    whole = [_footed(part.vertices, support, near) for part in wanted]
     feet = [_foot(part, support, near) for part in wanted]
     body = Solid(solid)
     fits = [_fits(of_one, body, BULGE) for of_one in (whole, feet)]
-    found: list[trimesh.Trimesh | None] = []
+    found: list[Hull | None] = []
     found += [part for part in parts.parts if part.bounds[0, 2] >= support + near]
     for number, part in enumerate(wanted):
         if fits[0][number]:
             found.append(whole[number])
             continue
-        found.append(convex_hull(_raised(np.asarray(part.vertices), support)))
+        found.append(convex_hull(_raised(part.vertices, support)))
         if fits[1][number]:
             found.append(feet[number])
     kept = tuple(hull for hull in found if hull is not None)
     return ConvexParts(kept, solid, parts.note) if kept else parts
 
 
-def _fits(parts: Sequence[trimesh.Trimesh | None], body: Solid, limit: float) -> list[bool]:
+def _fits(parts: Sequence[Hull | None], body: Solid, limit: float) -> list[bool]:
     """Which of the parts there are and reach out of the body by no more than `limit` [m]."""
     there = [part for part in parts if part is not None]
     depths = iter(bulges(surfaces(there), body, limit) if there else [])
@@ -67,7 +67,7 @@ def _raised(points: np.ndarray, support: float) -> np.ndarray:
     return np.column_stack([points[:, :2], np.maximum(points[:, 2], support)])
 
 
-def _footed(points: np.ndarray, support: float, near: float) -> trimesh.Trimesh | None:
+def _footed(points: np.ndarray, support: float, near: float) -> Hull | None:
     """A part's hull with the places on the support below its corners (N, 3) that are `near` it.
 
     Parts that lie there as a whole stay as thick as they are.
@@ -77,7 +77,7 @@ def _footed(points: np.ndarray, support: float, near: float) -> trimesh.Trimesh 
     return convex_hull(np.concatenate([_raised(points, support), on_it]))
 
 
-def _foot(part: trimesh.Trimesh, support: float, near: float) -> trimesh.Trimesh | None:
+def _foot(part: Hull, support: float, near: float) -> Hull | None:
     """What of a part is `near` the support and all below it down to the support: a foot of its own."""
     low = below(part, np.array([0.0, 0.0, 1.0]), support + near)
-    return None if low is None else _footed(np.asarray(low.vertices), support, np.inf)
+    return None if low is None else _footed(low.vertices, support, np.inf)

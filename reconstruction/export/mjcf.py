@@ -117,7 +117,7 @@ def _body(
     )
     for index, part in enumerate(scene.bodies(GAP).parts[item.label].parts):
         name = f"{item.key}_{index:03d}"
-        (folder / f"{name}.obj").write_bytes(encode_obj(part))
+        (folder / f"{name}.obj").write_bytes(encode_obj(part.mesh))
         # Parts have no mass of their own, and thin ones hardly a volume.
         xml.SubElement(assets, "mesh", name=name, file=f"{name}.obj", inertia="shell")
         xml.SubElement(

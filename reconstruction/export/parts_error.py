@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import trimesh
 
+from reconstruction.export.hulls import Hull, together
 from reconstruction.solid import Solid
 
 SAMPLES = 2000
@@ -18,7 +18,7 @@ AT_A_TIME = 1000
 """Points asked whether they are inside, the farthest from all surfaces first."""
 
 
-def parts_error(mesh: trimesh.Trimesh, parts: Sequence[trimesh.Trimesh]) -> tuple[float, float]:
+def parts_error(mesh: trimesh.Trimesh, parts: Sequence[Hull]) -> tuple[float, float]:
     """Largest distance [m] of the mesh's surface from the parts' union, and of the parts' surface from the
     mesh.
 
@@ -37,10 +37,10 @@ def parts_error(mesh: trimesh.Trimesh, parts: Sequence[trimesh.Trimesh]) -> tupl
 class Union:
     """Convex parts, made ready for questions of how far points are from them."""
 
-    def __init__(self, parts: Sequence[trimesh.Trimesh]) -> None:
-        self.mesh = _together(parts)
-        self._hulls = [_Hull.of(part) for part in parts]
-        self._boxes = np.array([hull.box for hull in self._hulls])
+    def __init__(self, parts: Sequence[Hull]) -> None:
+        self.mesh = together(parts)
+        self._hulls = list(parts)
+        self._boxes = np.array([hull.bounds for hull in parts])
         self._surface = Solid(self.mesh)
 
     def lacking(self, points: np.ndarray, least: float = 0.0) -> np.ndarray:
@@ -88,37 +88,16 @@ class Union:
                 ~inside[first:last] & (span[:, 1:] >= low[1:]).all(1) & (span[:, 1:] <= high[1:]).all(1)
             )
             if len(near):
-                inside[near] = self._hulls[number].holds(ordered[near])
+                inside[near] = _holds(self._hulls[number], ordered[near])
         found[order] = inside
         return found
 
 
-@dataclass(frozen=True)
-class _Hull:
-    """A convex part by the planes of its faces: normals (F, 3) and heights (F,) [m]; box: corners (2, 3)."""
-
-    part: trimesh.Trimesh
-    normals: np.ndarray
-    heights: np.ndarray
-    box: np.ndarray
-
-    @staticmethod
-    def of(part: trimesh.Trimesh) -> _Hull:
-        normals = np.asarray(part.face_normals)
-        heights = np.einsum("ij,ij->i", normals, part.triangles[:, 0])
-        return _Hull(part, normals, heights, np.asarray(part.bounds))
-
-    def holds(self, points: np.ndarray) -> np.ndarray:
-        """Which points (N, 3) lie behind all planes."""
-        if len(points) * len(self.normals) > MOST_PAIRS:
-            return Solid(self.part).inside(points)
-        return (points @ self.normals.T <= self.heights).all(1)
-
-
-def _together(parts: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
-    union = trimesh.util.concatenate(list(parts))
-    assert isinstance(union, trimesh.Trimesh)
-    return union
+def _holds(part: Hull, points: np.ndarray) -> np.ndarray:
+    """Which points (N, 3) lie behind all planes of a part's faces."""
+    if len(points) * len(part.faces) > MOST_PAIRS:
+        return Solid(part.mesh).inside(points)
+    return (points @ part.face_normals.T <= part.heights).all(1)
 
 
 def _points(mesh: trimesh.Trimesh) -> np.ndarray:

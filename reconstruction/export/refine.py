@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 
 from reconstruction.export.cutting import Surface
-from reconstruction.export.hulls import as_mesh
+from reconstruction.export.hulls import Hull
 from reconstruction.solid import Solid
 
 SPACING = 0.0025
@@ -49,7 +49,7 @@ def refined(
     limit: float,
     beside: Sequence[Solid] = (),
     splinter: float = 0.0,
-) -> list[trimesh.Trimesh]:
+) -> list[Hull]:
     """Convex parts of a solid [m], halved until none bulges out of it by more than `limit` [m] where that can
     be had.
 
@@ -66,11 +66,11 @@ def refined(
         places = np.array([worst[number][1] for number in wanted], float).reshape(-1, 3)
         halves = halve(wanted, places) if wanted else []
         whole = {number for number, pair in zip(wanted, halves) if not pair}
-        dropped = {number for number in whole if as_mesh(todo[number]).volume <= splinter}
+        dropped = {number for number in whole if Hull(*todo[number]).volume <= splinter}
         kept = whole - dropped
         done += [part for number, part in enumerate(todo) if number in kept or number not in wanted]
         todo = [half for pair in halves for half in pair]
-    return [as_mesh(part) for part in done + todo]
+    return [Hull(*part) for part in done + todo]
 
 
 def bulges(

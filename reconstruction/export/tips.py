@@ -11,6 +11,7 @@ import numpy as np
 import trimesh
 
 from reconstruction.export.cutting import Cutter, solid_of
+from reconstruction.export.hulls import Hull
 from reconstruction.export.parts_error import Union
 from reconstruction.export.refine import refined
 from reconstruction.solid import Solid
@@ -20,7 +21,7 @@ ROOT = 0.0012
 simplification takes that much off anywhere."""
 
 
-def tips(mesh: trimesh.Trimesh, parts: Sequence[trimesh.Trimesh], limit: float) -> list[trimesh.Trimesh]:
+def tips(mesh: trimesh.Trimesh, parts: Sequence[Hull], limit: float) -> list[Hull]:
     """Convex parts for the tips of a closed mesh [m] that reach further than `limit` [m] from all others.
 
     They are halved until they bulge out of it by no more than that.
@@ -44,7 +45,7 @@ def tips(mesh: trimesh.Trimesh, parts: Sequence[trimesh.Trimesh], limit: float) 
 
 
 def _lacking_regions(
-    corners: np.ndarray, edges: np.ndarray, parts: Sequence[trimesh.Trimesh], limit: float
+    corners: np.ndarray, edges: np.ndarray, parts: Sequence[Hull], limit: float
 ) -> np.ndarray:
     """Which of corners (N, 3) are further than `limit` [m] from all parts, or than ROOT and joined to such by
     edges (M, 2) between such: (N,) bool."""

@@ -15,6 +15,7 @@ import trimesh
 
 from reconstruction.export.apart import Parts, boxes, overlap
 from reconstruction.export.balance import STEADY, gathered, room_within
+from reconstruction.export.hulls import Hull, together
 from reconstruction.solid import Solid
 
 WHY = (
@@ -61,9 +62,9 @@ class Block:
         return Block(np.array([*self.centre[:2], self.top - height / 2]), np.array([*self.size[:2], height]))
 
     @property
-    def mesh(self) -> trimesh.Trimesh:
-        """The block as a closed mesh."""
-        return trimesh.creation.box(self.size).apply_translation(self.centre)
+    def hull(self) -> Hull:
+        """The block as a convex part."""
+        return Hull.of(trimesh.creation.box(self.size).apply_translation(self.centre))
 
     @property
     def corners(self) -> np.ndarray:
@@ -118,9 +119,8 @@ def _lowest_that_hold(centre: np.ndarray, places: np.ndarray, tops: np.ndarray) 
 
 def _below(parts: Parts) -> list[Block]:
     """A block below each cell of a level lattice that the parts cover at least half of."""
-    together = trimesh.util.concatenate(list(parts))
-    assert isinstance(together, trimesh.Trimesh)
-    low, high = together.bounds
+    whole = together(parts)
+    low, high = whole.bounds
     cells = np.ceil((high[:2] - low[:2]) / WIDTH).astype(int)
     start = (low[:2] + high[:2] - cells * WIDTH) / 2
     within = np.linspace(0, WIDTH, ACROSS)
@@ -128,7 +128,7 @@ def _below(parts: Parts) -> list[Block]:
     y = start[1] + (WIDTH * np.arange(cells[1])[:, None] + within).ravel()
     places = np.stack([*np.meshgrid(x, y, indexing="ij"), np.full((len(x), len(y)), low[2] - WIDTH)], -1)
     up = np.broadcast_to([0.0, 0.0, 1.0], places.shape)
-    rise = Solid(together).cast(places.reshape(-1, 3), up.reshape(-1, 3)).reshape(len(x), len(y))
+    rise = Solid(whole).cast(places.reshape(-1, 3), up.reshape(-1, 3)).reshape(len(x), len(y))
     rise = rise.reshape(cells[0], ACROSS, cells[1], ACROSS).transpose(0, 2, 1, 3).reshape(*cells, -1)
     covered = np.isfinite(rise).mean(-1) >= 0.5
     top = low[2] - WIDTH + rise.min(-1) - BELOW
@@ -140,7 +140,7 @@ def _below(parts: Parts) -> list[Block]:
     return found
 
 
-def _fitting(block: Block, around: Sequence[trimesh.Trimesh], limits: np.ndarray) -> Block | None:
+def _fitting(block: Block, around: Sequence[Hull], limits: np.ndarray) -> Block | None:
     """The block, or its upper end, where no part of another object, in boxes (N, 2, 3), is nearer than
     CLEAR."""
     for thickness in (THICKNESS, THIN, LEAST_THICKNESS):
@@ -149,8 +149,8 @@ def _fitting(block: Block, around: Sequence[trimesh.Trimesh], limits: np.ndarray
         near = np.flatnonzero(((limits[:, 0] < high + CLEAR) & (limits[:, 1] > low - CLEAR)).all(1))
         if len(near) == 0:
             return fitting
-        mesh = fitting.mesh
-        if all(overlap(mesh, around[int(number)], CLEAR) is None for number in near):
+        hull = fitting.hull
+        if all(overlap(hull, around[int(number)], CLEAR) is None for number in near):
             return fitting
     return None
 
@@ -162,8 +162,8 @@ def _clear_of(block: Block, own: Parts) -> Block | None:
     while block.size[2] > BELOW:
         low, high = block.centre - block.size / 2, block.centre + block.size / 2
         near = np.flatnonzero(((limits[:, 0] < high) & (limits[:, 1] > low)).all(1))
-        mesh = block.mesh
-        if all(overlap(mesh, own[int(number)], 0.0) is None for number in near):
+        hull = block.hull
+        if all(overlap(hull, own[int(number)], 0.0) is None for number in near):
             return block
         size = block.size - [0.0, 0.0, BELOW]
         block = Block(block.centre - [0.0, 0.0, BELOW / 2], size)

@@ -6,10 +6,10 @@ from pathlib import Path
 from xml.etree import ElementTree as xml
 
 import numpy as np
-import trimesh
 
 from reconstruction.export.export_object import ExportObject
 from reconstruction.export.export_scene import ExportConfig, ExportScene
+from reconstruction.export.hulls import Hull
 from reconstruction.export.poses import write_poses
 from reconstruction.files.mesh_files import encode_obj
 
@@ -69,11 +69,11 @@ def _unseen_supports(scene: ExportScene) -> xml.Element:
     return robot
 
 
-def _write_meshes(item: ExportObject, parts: tuple[trimesh.Trimesh, ...], folder: Path) -> None:
+def _write_meshes(item: ExportObject, parts: tuple[Hull, ...], folder: Path) -> None:
     folder.mkdir(parents=True)
     (folder / "visual.obj").write_bytes(encode_obj(item.mesh))
     for index, part in enumerate(parts):
-        (folder / f"part_{index:03d}.obj").write_bytes(encode_obj(part))
+        (folder / f"part_{index:03d}.obj").write_bytes(encode_obj(part.mesh))
 
 
 def _link(item: ExportObject, parts: int, centre: np.ndarray, config: ExportConfig) -> xml.Element:

@@ -55,7 +55,7 @@ def _body(stage: Any, item: ExportObject, scene: ExportScene) -> None:
     _mass(prim, item, scene.bodies(GAP).centres[item.label], scene.config.density)
     _mesh(stage, f"{path}/visual", item.mesh)
     for index, part in enumerate(scene.bodies(GAP).parts[item.label].parts):
-        collider = _mesh(stage, f"{path}/collision/part_{index:03d}", part)
+        collider = _mesh(stage, f"{path}/collision/part_{index:03d}", part.mesh)
         UsdPhysics.CollisionAPI.Apply(collider.GetPrim())
         UsdPhysics.MeshCollisionAPI.Apply(collider.GetPrim()).CreateApproximationAttr("convexHull")
         UsdGeom.Imageable(collider).CreatePurposeAttr(UsdGeom.Tokens.guide)
