@@ -1,25 +1,19 @@
-"""Convex parts: none bulges out of its mesh, none reaches into a neighbour, feet are flat and parts stay."""
+"""Convex parts: none bulges out of its mesh, feet are flat and parts stay."""
 
 import numpy as np
 import pytest
 import trimesh
 
-from reconstruction.export import mjcf, urdf
-from reconstruction.export.apart import below, kept_apart, overlap
 from reconstruction.export.balance import ENOUGH, balanced
-from reconstruction.export.carving import carved
-from reconstruction.export.collision import ConvexParts, convex_parts
+from reconstruction.export.collision import ConvexParts
 from reconstruction.export.contacts import Contacts, contacts_of
 from reconstruction.export.cutting import Cutter, solid_of
 from reconstruction.export.footing import PATCH, with_footing
 from reconstruction.export.hulls import Hull, convex_hull, surfaces
 from reconstruction.export.parts_error import parts_error
-from reconstruction.export.refine import refined
+from reconstruction.export.refine import bulges, refined
 from reconstruction.export.tips import tips
 from reconstruction.solid import Solid
-
-GAP = 0.002
-"""Between parts of two objects [m]."""
 
 
 def box(size, middle) -> trimesh.Trimesh:
@@ -30,123 +24,6 @@ def box(size, middle) -> trimesh.Trimesh:
 
 def part(size, middle) -> Hull:
     return Hull.of(box(size, middle))
-
-
-def prism(corners) -> trimesh.Trimesh:
-    """6 cm along y; corners (N, 2): its x and z [m]."""
-    ends = [[[x, y, z] for x, z in corners] for y in (-0.03, 0.03)]
-    return convex_hull(np.concatenate(ends)).mesh
-
-
-def test_two_boxes_that_overlap_are_cut_at_a_plane_between_them():
-    one, two = part((0.1, 0.1, 0.1), (0, 0, 0)), part((0.1, 0.08, 0.08), (0.095, 0, 0))
-    normal, low, high = overlap(one, two, GAP)
-    assert np.allclose(normal, [1, 0, 0])
-    assert high - low == pytest.approx(0.005)
-    apart = kept_apart({1: (one,), 2: (two,)}, GAP)
-    (first,), (second,) = apart[1], apart[2]
-    assert first.bounds[1, 0] == pytest.approx(0.0475 - GAP / 2)
-    assert second.bounds[0, 0] == pytest.approx(0.0475 + GAP / 2)
-    assert overlap(first, second, GAP) is None
-    assert first.mesh.is_watertight
-    assert second.volume == pytest.approx(0.08 * 0.08 * (0.145 - 0.0475 - GAP / 2))
-
-
-def test_parts_that_do_not_overlap_stay_as_they_are_and_an_object_never_loses_all():
-    one, two, far = (part((0.1,) * 3, (x, 0, 0)) for x in (0, 0.11, 1))
-    apart = kept_apart({1: (one,), 2: (two, far)}, GAP)
-    assert apart[1][0] is one
-    assert apart[2] == (two, far)
-    tiny = part((1e-3,) * 3, (0, 0, 0))
-    assert kept_apart({1: (one,), 2: (tiny,)}, GAP)[2]
-
-
-@pytest.mark.parametrize("gap", [mjcf.GAP, urdf.GAP])
-def test_thin_plates_and_a_wedge_that_touch_others_keep_their_shape(gap):
-    """As reconstructions touch: parts that bulge into a neighbour are cut, little of a mesh is lost."""
-    plates = box((0.1, 0.08, 0.0025), (0, 0, 0.00125)), box((0.1, 0.08, 0.0025), (0, 0, 0.00375))
-    wedge = prism([[-0.03, 0], [0.03, 0], [0, -0.05]])  # 62 degrees, tip down
-    left, right = (prism([[0, -0.05], [x, 0], [x, -0.05]]) for x in (-0.03, 0.03))
-    for meshes in (plates, (wedge, left, right)):
-        cut = convex_parts(meshes, workers=1)
-        bulging = {
-            label: tuple(convex_hull(one.vertices * 1.02) for one in of_one.parts)
-            for label, of_one in enumerate(cut)
-        }
-        apart = kept_apart(carved(bulging, dict(enumerate(meshes)), gap) if gap else bulging, gap)
-        for label, mesh in enumerate(meshes):
-            missing, excess = parts_error(mesh, apart[label])
-            assert missing < 0.003
-            assert excess < 0.003
-            others = [part for other, parts in apart.items() if other != label for part in parts]
-            assert all(overlap(own, part, gap) is None for own in apart[label] for part in others)
-
-
-def test_what_bulges_over_a_notch_with_a_neighbour_in_it_is_carved():
-    """Planes alone would take a layer from all of the notched block, or off the end of what stands in it."""
-    whole, standing = box((0.1, 0.06, 0.03), (0, 0, 0)), box((0.02, 0.06, 0.05), (0, 0, 0.032))
-    notched = whole.difference(box((0.02, 0.07, 0.05), (0, 0, 0.032)))
-    meshes, parts = {1: notched, 2: standing}, {1: (Hull.of(whole),), 2: (Hull.of(standing),)}
-    planes, found = kept_apart(parts, GAP), kept_apart(carved(parts, meshes, GAP), GAP)
-    errors = [[max(parts_error(meshes[k], of_one[k])) for k in meshes] for of_one in (planes, found)]
-    assert max(errors[0]) > 0.0045
-    assert max(errors[1]) < 0.0015
-    assert all(overlap(part, other, GAP) is None for part in found[1] for other in found[2])
-    assert len(found[1]) < 20
-    far = standing.copy().apply_translation([0.2, 0, 0])
-    alone = {1: parts[1], 2: (Hull.of(far),)}
-    apart = carved(alone, {1: notched, 2: far}, GAP)
-    assert apart[1] is alone[1]
-    assert apart[2] is alone[2]
-
-
-def test_a_thin_plate_keeps_its_body_where_it_lies_on_a_thick_one():
-    plate, block = box((0.1, 0.1, 0.0012), (0, 0, 0.0006)), box((0.1, 0.1, 0.05), (0, 0, -0.025))
-    parts = {1: (Hull.of(plate),), 2: (Hull.of(block),)}
-    apart = kept_apart(parts, GAP)
-    assert np.ptp(apart[1][0].vertices[:, 2]) > 0.001
-    assert np.ptp(apart[2][0].vertices[:, 2]) == pytest.approx(0.048, abs=2e-4)
-    apart = carved(parts, {1: plate, 2: block}, GAP)
-    assert np.ptp(apart[1][0].vertices[:, 2]) > 0.001
-    assert np.ptp(apart[2][0].vertices[:, 2]) == pytest.approx(0.048, abs=2e-4)
-
-
-@pytest.mark.parametrize(("gap", "distance"), [(mjcf.GAP, 0.0), (urdf.GAP, 0.002)])
-def test_boxes_that_touch_are_as_far_apart_as_the_format_needs(gap, distance):
-    apart = kept_apart({1: (part((0.1,) * 3, (0, 0, 0)),), 2: (part((0.1,) * 3, (0.1, 0, 0)),)}, gap)
-    assert apart[2][0].bounds[0, 0] - apart[1][0].bounds[1, 0] == pytest.approx(distance, abs=1e-6)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_hulls_in_any_attitude_do_not_overlap_when_cut(seed):
-    rng = np.random.default_rng(seed)
-    clouds = [rng.normal(size=(30, 3)) * 0.03, rng.normal(size=(30, 3)) * 0.03 + [0.07, 0, 0]]
-    one, two = (convex_hull(cloud) for cloud in clouds)
-    apart = kept_apart({1: (one,), 2: (two,)}, GAP)
-    assert overlap(apart[1][0], apart[2][0], GAP) is None
-    for before, after in ((one, apart[1][0]), (two, apart[2][0])):
-        corners = after.vertices.astype(np.float32)
-        solid = Solid(before.mesh)
-        assert (solid.inside(corners) | (solid.distance(corners) < 1e-5)).all()
-
-
-def test_a_face_without_area_parts_nothing():
-    sliver = part((0.1,) * 3, (0, 0, 0))
-    corner = len(sliver.vertices)
-    vertices = np.vstack([sliver.vertices, (sliver.vertices[sliver.faces[0]][:2]).mean(0)])
-    a, b, _ = sliver.faces[0]
-    flat = Hull(vertices, np.vstack([sliver.faces, [a, corner, b]]))
-    assert not flat.face_normals[-1].any()
-    _, low, high = overlap(flat, part((0.1,) * 3, (0.09, 0, 0)), GAP)
-    assert high - low == pytest.approx(0.01)
-
-
-def test_a_part_is_cut_below_a_height_and_dropped_above_it():
-    cube = part((0.1,) * 3, (0, 0, 0))
-    up = np.array([0.0, 0.0, 1.0])
-    assert below(cube, up, 0.06) is cube
-    assert below(cube, up, -0.06) is None
-    assert below(cube, up, 0.02).volume == pytest.approx(0.01 * 0.07)
 
 
 def test_a_hull_over_a_hollow_is_halved_until_it_bulges_no_more():
@@ -166,6 +43,33 @@ def test_a_hull_over_a_hollow_is_halved_until_it_bulges_no_more():
     # What is convex is never cut, however far it is said to bulge; neither is what is not manifold.
     assert whole.halve([0], np.zeros((1, 3))) == [[]]
     assert Cutter(None, [hull]).halve([0], np.zeros((1, 3))) == [[]]
+
+
+@pytest.mark.parametrize("middle", np.linspace(-0.04, 0.04, 9))
+def test_what_sticks_out_along_an_edge_alone_is_found(middle):
+    """A notch in a blade's edge: hardly any point drawn on its faces is as far out as the edge over it."""
+    notch = trimesh.creation.cylinder(0.0033, 0.01, sections=48)
+    notch.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
+    blade = box((0.3, 0.0004, 0.03), (0, 0, -0.015))
+    notched = blade.difference(notch.apply_translation([middle, 0, 0]))
+    ((depth, place),) = bulges(surfaces([Hull.of(blade)]), Solid(notched), 0.0027)
+    assert 0.0027 < depth < 0.0034
+    assert place[0] == pytest.approx(middle, abs=0.001)
+
+
+def test_where_no_more_parts_are_allowed_the_worst_are_cut(monkeypatch):
+    bar = trimesh.creation.box((0.2, 0.02, 0.02))
+    holes = [
+        box((0.02, 0.03, depth), (x, 0, 0.01 - depth / 2)) for x, depth in ((-0.05, 0.004), (0.05, 0.012))
+    ]
+    mesh = bar.difference(trimesh.util.concatenate(holes))
+    ends = [box((0.0999, 0.03, 0.03), (x, 0, 0)).vertices for x in (-0.05, 0.05)]
+    clouds = [np.clip(corners, *bar.bounds) for corners in ends]
+    cutter = Cutter(solid_of(mesh.vertices, mesh.faces), clouds)
+    monkeypatch.setattr("reconstruction.export.refine.MOST_PARTS", 3)
+    found = refined(cutter.hulls, Solid(mesh), cutter.halve, 0.0025)
+    assert len(found) == 3
+    assert sum(part.bounds[1, 0] < 0.001 for part in found) == 1  # the one with the lesser hole stays whole
 
 
 def test_a_splinter_beside_its_mesh_that_cannot_be_cut_is_left_out():

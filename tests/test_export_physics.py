@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from xml.etree import ElementTree as xml
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from reconstruction.export.export_scene import ExportScene
 from reconstruction.export.footing import with_footing
 from reconstruction.export.formats import export
 from reconstruction.export.hulls import Hull
+from sim_scenes.tabletop import quiet_stdout
 from tools import export_checks
 from tools.ball_drops import CELL, Hollow, covered, drop_all, hollow
 from tools.export_checks import overlap, stand, summarise
@@ -129,3 +131,69 @@ def test_what_hovers_over_hidden_space_rests_on_unseen_supports(planned, tmp_pat
     (tmp_path / "urdf" / "unseen_supports.urdf").unlink()
     before, after = export_checks._pybullet(tmp_path)["1_mug"]
     assert np.linalg.norm(after[:3, 3] - before[:3, 3]) > 0.02  # without them it falls
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
+def test_a_ball_with_the_exported_friction_stays_on_the_level_and_rolls_down_a_slope(out, tmp_path, engine):
+    """Rolling friction is a length: a ball of 2 cm radius stays up to atan(2 mm / 2 cm), 5.7 degrees, in
+    MuJoCo; pybullet multiplies it by the other's sliding friction, 0.5."""
+    pytest.importorskip(engine)
+    roll = {"mujoco": _rolled_in_mujoco, "pybullet": _rolled_in_pybullet}[engine]
+    assert abs(roll(out, tmp_path, 0.0, 0.0)) < 1e-3
+    assert 1e-3 < roll(out, tmp_path, 0.0, 0.05) < 0.01  # pushed at 5 cm/s, it stops
+    assert abs(roll(out, tmp_path, 2.0, 0.0)) < 5e-3
+    assert roll(out, tmp_path, 10.0, 0.0) > 0.5
+
+
+def _rolled_in_mujoco(out, tmp_path, degrees: float, speed: float) -> float:
+    """How far a ball of 2 cm radius with the friction of an exported part rolls in 2 s [m]."""
+    import mujoco
+
+    root = xml.parse(out / "mjcf" / "scene.xml").getroot()
+    (support,) = root.findall("worldbody/geom[@name='support']")
+    part = root.find("worldbody/body/geom[@group='3']")
+    kept = ("friction", "condim", "solref")
+    geoms = [" ".join(f'{name}="{geom.get(name)}"' for name in kept) for geom in (support, part)]
+    down = 9.81 * np.array([np.sin(np.radians(degrees)), 0, -np.cos(np.radians(degrees))])
+    option = root.find("option")
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option gravity="{down[0]} 0 {down[2]}" cone="{option.get("cone")}" '
+        f'impratio="{option.get("impratio")}"/><worldbody><geom type="plane" size="9 9 1" {geoms[0]}/>'
+        f'<body pos="0 0 0.02"><freejoint/><geom type="sphere" size="0.02" mass="0.02" {geoms[1]}/></body>'
+        "</worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    data.qvel[[0, 4]] = speed, speed / 0.02
+    for _ in range(round(2.0 / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    return float(data.qpos[0])
+
+
+def _rolled_in_pybullet(out, tmp_path, degrees: float, speed: float) -> float:
+    """The same."""
+    with quiet_stdout():
+        import pybullet as bullet
+    robot = xml.parse(out / "urdf" / "1_mug.urdf").getroot()
+    link = robot.find("link")
+    for old in [*link.findall("collision"), *link.findall("visual")]:
+        link.remove(old)
+    shape = xml.SubElement(xml.SubElement(link, "collision"), "geometry")
+    xml.SubElement(shape, "sphere", radius="0.02")
+    link.find("inertial/origin").set("xyz", "0 0 0")
+    link.find("inertial/mass").set("value", "0.02")
+    turning = {"ixx": "3.2e-6", "iyy": "3.2e-6", "izz": "3.2e-6", "ixy": "0", "ixz": "0", "iyz": "0"}
+    link.find("inertial/inertia").attrib.update(turning)
+    xml.ElementTree(robot).write(tmp_path / "ball.urdf")
+    client = bullet.connect(bullet.DIRECT)
+    try:
+        tilt = np.radians(degrees)
+        bullet.setGravity(9.81 * np.sin(tilt), 0, -9.81 * np.cos(tilt), physicsClientId=client)
+        plane = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=[9, 9, 1], physicsClientId=client)
+        bullet.createMultiBody(0, plane, -1, [0, 0, -1], physicsClientId=client)
+        ball = bullet.loadURDF(str(tmp_path / "ball.urdf"), [0, 0, 0.02], physicsClientId=client)
+        bullet.resetBaseVelocity(ball, [speed, 0, 0], [0, speed / 0.02, 0], physicsClientId=client)
+        for _ in range(480):
+            bullet.stepSimulation(physicsClientId=client)
+        return float(bullet.getBasePositionAndOrientation(ball, physicsClientId=client)[0][0])
+    finally:
+        bullet.disconnect(client)

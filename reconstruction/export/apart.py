@@ -64,10 +64,8 @@ def _separate(first: list, second: list, one: np.ndarray, two: np.ndarray, gap: 
             continue
         normal, low, high = plane
         cut = high - low + gap
-        share = share_of_thicker(
-            high - (first[i].vertices @ normal).min(),
-            (second[j].vertices @ normal).max() - low,
-        )
+        thick = high - (first[i].vertices @ normal).min(), (second[j].vertices @ normal).max() - low
+        share = share_of_thicker(*thick)
         first[i] = below(first[i], normal, high - share * cut)
         second[j] = below(second[j], -normal, -low - (1 - share) * cut)
 

@@ -6,7 +6,7 @@ Knows a stored result; knows no format. What is costly is worked out when first 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import get_args
@@ -23,6 +23,7 @@ from reconstruction.export.carving import carved
 from reconstruction.export.collision import CollisionConfig, ConvexParts, Cutter, convex_parts
 from reconstruction.export.export_object import ExportObject, moved
 from reconstruction.export.footing import with_footing
+from reconstruction.export.put_back import put_back
 from reconstruction.export.seen_free import seen_free
 from reconstruction.files.result_folder import StoredResult
 from reconstruction.files.scene_json import OTHER_FOLDER, object_folder
@@ -156,12 +157,11 @@ class ExportScene:
         """The parts, cut where those of two objects are nearer than `gap` [m]. All z axes are parallel: one
         frame for all."""
         poses, placed, found = self._poses, self._placed, dict(self._footed)
-        apart = placed
+        whole: Mapping[int, Parts] = placed
+        meshes = {item.label: moved(item.solid, poses[item.label]) for item in self.objects}
         if gap > 0 and self.config.inflate is None:  # inflated meshes overlap: both would lose all of that
-            apart = carved(
-                placed, {item.label: moved(item.solid, poses[item.label]) for item in self.objects}, gap
-            )
-        apart = kept_apart(apart, gap)
+            whole = carved(placed, meshes, gap)
+        apart = put_back(kept_apart(whole, gap), whole, meshes, gap)
         for label, kept in apart.items():
             if kept != placed[label]:
                 own = tuple(part.moved(invert_rigid(poses[label])) for part in kept)

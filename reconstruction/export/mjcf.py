@@ -28,6 +28,8 @@ STATEMENT = {
     "frame": "bodies in the world frame of the result, meshes in each object's own frame",
     "unit": "m, kg",
     "quaternion": "w x y z",
+    "friction": "of geoms: sliding, turning [m], rolling [m]; a ball rolls where the slope is more than "
+    "rolling / its radius",
 }
 
 

@@ -26,10 +26,10 @@ def parts_error(mesh: trimesh.Trimesh, parts: Sequence[Hull]) -> tuple[float, fl
     much.
     """
     solid, union = Solid(mesh), Union(parts)
-    theirs = _points(union.mesh)
+    theirs = surface_points(union.mesh)
     surplus = theirs[~solid.inside(theirs)]
     return (
-        union.most_lacking(_points(mesh)),
+        union.most_lacking(surface_points(mesh)),
         float(solid.distance(surplus).max()) if len(surplus) else 0.0,
     )
 
@@ -100,7 +100,7 @@ def _holds(part: Hull, points: np.ndarray) -> np.ndarray:
     return (points @ part.face_normals.T <= part.heights).all(1)
 
 
-def _points(mesh: trimesh.Trimesh) -> np.ndarray:
+def surface_points(mesh: trimesh.Trimesh) -> np.ndarray:
     """Vertices and evenly drawn surface points (N, 3) [m]."""
     drawn, _ = trimesh.sample.sample_surface(mesh, SAMPLES, seed=0)
     return np.concatenate([mesh.vertices, drawn]).astype(np.float32)

@@ -21,6 +21,8 @@ SAMPLES = (60, 800)
 """At least and at most so many of them on a part."""
 CLOSER, CLOSE_SAMPLES = 0.001, 1500
 """The same, and at most so many on a part, on faces that bulge nearly as much as is allowed."""
+EDGE_SPACING = 0.001
+"""The same on edges of parts that bulge no more than is allowed as far as their faces tell [m]."""
 CROWDED = 0.0008
 """Where another mesh is, a part bulges no further than this [m]: it would be cut off, and its mesh with
 it."""
@@ -28,8 +30,8 @@ NEARLY = 0.0009
 """A face that bulges by so much less than is allowed is looked at closer [m]."""
 ROUNDS = 30
 """Times that a part is halved at most."""
-MOST_PARTS = 400
-"""Above this many parts none is cut any more: engines get slow."""
+MOST_PARTS = 1200
+"""No more parts than this: engines get slow. Those that bulge most are cut first."""
 
 
 class Body(Protocol):
@@ -59,10 +61,12 @@ def refined(
     todo = list(parts)
     done: list[Surface] = []
     for _ in range(ROUNDS):
-        if not todo or len(done) + len(todo) > MOST_PARTS:
+        room = MOST_PARTS - len(done) - len(todo)
+        if not todo or room <= 0:
             break
         worst = bulges(todo, solid, limit, beside)
-        wanted = [number for number, (depth, _) in enumerate(worst) if depth > limit]
+        order = sorted(range(len(todo)), key=lambda number: -worst[number][0])
+        wanted = sorted(number for number in order[:room] if worst[number][0] > limit)
         places = np.array([worst[number][1] for number in wanted], float).reshape(-1, 3)
         halves = halve(wanted, places) if wanted else []
         whole = {number for number, pair in zip(wanted, halves) if not pair}
@@ -101,6 +105,16 @@ def bulges(
         depths = _depths([points for points, _ in closer], solid, limit, beside)
         for number, own, (points, _) in zip(kept, depths, closer):
             if own.max() > found[number][0]:
+                found[number] = (float(own.max()), points[own.argmax()])
+    fine = (
+        [n for n, (depth, _) in enumerate(found) if 0 < depth <= limit]
+        if EDGE_SPACING < limit < np.inf
+        else []
+    )
+    if fine:
+        along = [_along_edges(*parts[n]) for n in fine]
+        for number, own, points in zip(fine, _depths(along, solid, limit, ()), along):
+            if len(own) and own.max() > found[number][0]:
                 found[number] = (float(own.max()), points[own.argmax()])
     return found
 
@@ -143,3 +157,14 @@ def _points_on(
             zip(parts, np.split(drawn[order], ends), np.split(on_face[order], ends))
         )
     ]
+
+
+def _along_edges(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Points (N, 3) float32 [m] within the edges of a part, which stick out most, EDGE_SPACING apart."""
+    edges = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    begin, end = vertices[edges[edges[:, 0] < edges[:, 1]]].transpose(1, 0, 2)  # each is there twice
+    count = (np.linalg.norm(end - begin, axis=1) / EDGE_SPACING).astype(int)
+    which = np.repeat(np.arange(len(count)), count)
+    number = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
+    share = ((number + 1) / (count[which] + 1))[:, None]
+    return (begin[which] + share * (end[which] - begin[which])).astype(np.float32)

@@ -20,6 +20,7 @@ STATEMENT = {
     "unit": "m, kg, rad",
     "quaternion": "poses.json says its order in the key: quaternion_xyzw; scene.urdf has fixed-axis roll "
     "pitch yaw",
+    "friction": "contact, read by pybullet: lateral_friction, rolling_friction [m], spinning_friction [m]",
 }
 
 UNSEEN = "unseen_supports.urdf"
