@@ -58,13 +58,14 @@ def _edge_pixels(own: np.ndarray, depth: np.ndarray, jump: np.ndarray) -> tuple[
     return near, far
 
 
-def nearest_of(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def nearest_of(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of each place (h, w) the nearest of some pixels (h, w) bool, as its number from 1 on, 0 where none is
-    within BORDER; and where these pixels are (E,), as flat indices."""
+    within BORDER; how far it is (h, w) float32 [px]; and where these pixels are (E,), as flat indices."""
     import cv2
 
     if not pixels.any():
-        return np.zeros(pixels.shape, np.int32), np.empty(0, np.int64)
+        far = np.full(pixels.shape, BORDER + 1, np.float32)
+        return np.zeros(pixels.shape, np.int32), far, np.empty(0, np.int64)
     distance, number = cv2.distanceTransformWithLabels(
         (~pixels).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
@@ -73,4 +74,4 @@ def nearest_of(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     at = np.flatnonzero(pixels)
     place = np.empty(len(at), np.int64)
     place[number.reshape(-1)[at] - 1] = at
-    return number, place
+    return number, distance, place

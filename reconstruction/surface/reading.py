@@ -70,7 +70,7 @@ class Outline(NamedTuple):
     top: int
     left: int
     nearest: np.ndarray
-    pixels: np.ndarray
+    distances: np.ndarray
     planes: np.ndarray
 
 
@@ -93,6 +93,18 @@ def _pixel_of(
     v = (A[1, 0] * x + A[1, 1] * y + A[1, 2] * z + b[1]) / away
     row, column = int(np.rint(min(max(v, -BEYOND), BEYOND))), int(np.rint(min(max(u, -BEYOND), BEYOND)))
     return away, u, v, row, column
+
+
+@compiled
+def _between(image: np.ndarray, row: float, column: float) -> float:
+    """The value of an image (h, w) between its pixels. Distances from pixels taken so make straight outlines
+    of steps of pixels; distances from their middles would make them scalloped."""
+    height, width = image.shape
+    i, j = min(max(int(row), 0), height - 2), min(max(int(column), 0), width - 2)
+    down, across = np.float32(row) - np.float32(i), np.float32(column) - np.float32(j)
+    above = image[i, j] + across * (image[i, j + 1] - image[i, j])
+    below = image[i + 1, j] + across * (image[i + 1, j + 1] - image[i + 1, j])
+    return above + down * (below - above)
 
 
 @compiled
@@ -135,7 +147,7 @@ def hold(points: np.ndarray, image: Image, outline: Outline, within: float, free
     """Lower free (N,) where points (N, 3) float32 [m] are near what the object shows on their ray: to 0
     there, linearly to 1 at a distance of `within` [m]; less near the edges of its image, and not at them."""
     A, b, _, owners, _, planes = image
-    own, _, top, left, nearest, edge_pixels, _ = outline
+    own, _, top, left, _, distances, _ = outline
     rows, columns = owners.shape
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -144,11 +156,7 @@ def hold(points: np.ndarray, image: Image, outline: Outline, within: float, free
             at = row * columns + column
             off = abs(planes[at, 0] * x + planes[at, 1] * y + planes[at, 2] * z - planes[at, 3]) / within
             if off < free[i]:
-                edge = nearest[0, row - top, column - left]
-                if edge > 0:
-                    du, dv = u - edge_pixels[edge, 0], v - edge_pixels[edge, 1]
-                    off = max(off, _OUTERMOST - np.sqrt(du * du + dv * dv))
-                free[i] = min(free[i], off)
+                free[i] = min(free[i], max(off, _OUTERMOST - _between(distances[0], v - top, u - left)))
 
 
 @compiled
@@ -162,7 +170,7 @@ def read_into(
 ) -> None:
     """Fill the three arrays (N,) float32 of a `Reading` of points (N, 3) float32 [m]."""
     A, b, focal, owners, depths, planes = image
-    own, floor, top, left, nearest, edge_pixels, edge_planes = outline
+    own, floor, top, left, nearest, edge_distances, edge_planes = outline
     rows, columns = owners.shape
     _, height, width = nearest.shape
     # Planes are read number by number: references to rows would be counted, which takes as long as the rest.
@@ -180,17 +188,15 @@ def read_into(
                 behind = planes[at, 0] * x + planes[at, 1] * y + planes[at, 2] * z - planes[at, 3]
         free = owner != NOT_MEASURED and behind < _ZERO
         # The part's outermost pixels have no edge near: whatever lies beyond is taken for one of them.
-        edge = nearest[
-            0 if free else 1, min(max(row - top, 0), height - 1), min(max(column - left, 0), width - 1)
-        ]
+        side = 0 if free else 1
+        edge = nearest[side, min(max(row - top, 0), height - 1), min(max(column - left, 0), width - 1)]
         lateral = _FAR
         if edge > 0:
             before = edge_planes[edge, 0] * x + edge_planes[edge, 1] * y + edge_planes[edge, 2] * z
             before = min(before - edge_planes[edge, 3], _ZERO)
             # Free space beyond an edge matters to a point that lies before the surface there.
             if free or before < _ZERO:
-                du, dv = u - edge_pixels[edge, 0], v - edge_pixels[edge, 1]
-                off = np.sqrt(du * du + dv * dv) - (_BESIDE if free else _INSIDE)
+                off = _between(edge_distances[side], v - top, u - left) - (_BESIDE if free else _INSIDE)
                 across = max(max(off, _ZERO) * away / focal, LEAST_LATERAL)
                 # A free point before the surface that ends there is so much farther from it.
                 lateral = min(np.sqrt(across * across + before * before) if free else across, _FAR)

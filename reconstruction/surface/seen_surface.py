@@ -30,9 +30,6 @@ from reconstruction.surface.reading import (
 )
 from reconstruction.surface.smooth_depth import surface_planes
 
-NOWHERE = -10_000_000
-"""Column and row of the pixel that stands for none."""
-
 
 @compiled
 def _put_planes(planes: np.ndarray, pixels: np.ndarray, own: np.ndarray, T: np.ndarray) -> None:
@@ -126,8 +123,8 @@ class Edges:
 
     nearest: (2, h, w) int32, for a part of the image that starts at (top, left): number of the nearest pixel
     on the near side of an edge, and of the nearest on its far side; 0 if there is none, as all along the
-    part's border. pixels: (E, 2) float32 column and row of each number's pixel; planes: (E, 4) float32 what
-    it sees.
+    part's border. distances: (2, h, w) float32, how far those are [px]; planes: (E, 4) float32 what each
+    number's pixel sees.
     """
 
     seen: SeenSurface
@@ -135,15 +132,14 @@ class Edges:
     top: int
     left: int
     nearest: np.ndarray
-    pixels: np.ndarray
+    distances: np.ndarray
     planes: np.ndarray
 
     @classmethod
     def of(cls, seen: SeenSurface, index: int) -> Edges:
         if index < 0:  # an object that this view does not see: free space is all there is to read
-            nowhere = np.full((1, 2), NOWHERE, np.float32)
-            none = np.zeros((2, 3, 3), np.int32)
-            return cls(seen, index, 0, 0, none, nowhere, np.zeros((1, 4), np.float32))
+            none, far = np.zeros((2, 3, 3), np.int32), np.full((2, 3, 3), BORDER + 1, np.float32)
+            return cls(seen, index, 0, 0, none, far, np.zeros((1, 4), np.float32))
         height, width = seen.owner.shape
         rows, columns = seen.boxes[index]
         top, left = max(rows.start - BORDER, 0), max(columns.start - BORDER, 0)
@@ -154,24 +150,22 @@ class Edges:
         own = seen.owner[part] == index
         sides = edge_pixels(own, seen.depth[part], seen.camera)
         nearest = np.zeros((2, *(n + 2 for n in own.shape)), np.int32)
-        at = [np.full(1, -1, np.int64)]
-        for side, found in zip(sides, nearest):
-            number, pixels = nearest_of(side)
-            found[1:-1, 1:-1] = np.where(number > 0, number + (len(np.concatenate(at)) - 1), 0)
+        distances = np.full(nearest.shape, BORDER + 1, np.float32)
+        at = [np.empty(0, np.int64)]
+        for number, side in enumerate(sides):
+            found, away, pixels = nearest_of(side)
+            nearest[number, 1:-1, 1:-1] = np.where(found > 0, found + len(np.concatenate(at)), 0)
+            distances[number, 1:-1, 1:-1] = away
             at.append(pixels)
-        flat = np.concatenate(at)
-        row, column = flat // sides[0].shape[1] + top, flat % sides[0].shape[1] + left
-        row[0] = column[0] = NOWHERE
-        planes = np.zeros((len(flat), 4), np.float32)
-        pixel = row[1:] * width + column[1:]
+        row, column = np.divmod(np.concatenate(at), sides[0].shape[1])
+        planes = np.zeros((1 + len(row), 4), np.float32)
+        pixel = (row + top) * width + column + left
         planes[1:] = seen.planes[pixel]
         # What is no object's has no plane: it is taken to face the camera, where it was measured.
         T, depth = seen.T_camera_table, seen.depth.reshape(-1)[pixel]
         bare = 1 + np.flatnonzero((planes[1:, 3] == 0) & np.isfinite(depth))
         planes[bare, :3], planes[bare, 3] = T[2, :3], depth[bare - 1] - T[2, 3]
-        return cls(
-            seen, index, top - 1, left - 1, nearest, np.stack([column, row], 1).astype(np.float32), planes
-        )
+        return cls(seen, index, top - 1, left - 1, nearest, distances, planes)
 
     def read(self, points: np.ndarray) -> Reading:
         """What the depth image says of points (N, 3) float32 [m]."""
@@ -186,7 +180,7 @@ class Edges:
     def outline(self) -> Outline:
         """The same as points see it."""
         floor = -np.inf if self.seen.floors is None else self.seen.floors[self.index]
-        places = self.top, self.left, self.nearest, self.pixels, self.planes
+        places = self.top, self.left, self.nearest, self.distances, self.planes
         return Outline(self.index, np.float32(floor), *places)
 
     @cached_property
