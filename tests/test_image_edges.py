@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from conftest import Shape, make_tabletop
 from scipy import ndimage
 
@@ -31,6 +32,32 @@ def test_unmeasured_pixels_end_free_space() -> None:
     assert not near[15:25, 15:25].any()
     assert far[11, 20]  # what was measured beside it
     assert not far[shadow | own].any()
+
+
+@pytest.mark.parametrize(("slope", "ripple"), [(0.0, 0.05), (0.3, 0.17), (1.0, 0.05)])
+def test_a_straight_outline_has_no_scallops(slope: float, ripple: float) -> None:
+    frame = make_tabletop((BALL,)).frame
+    K, height, width = frame.camera.K, frame.camera.height, frame.camera.width
+    v, u = np.indices((height, width))
+    normal = np.array([1.0, slope]) / np.hypot(1.0, slope)
+
+    def beyond(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return (u - 160.3) * normal[0] + (v - 120.0) * normal[1]
+
+    owner = np.where(beyond(u, v) < 0, 0, -1).astype(np.int32)
+    depth = np.where(owner == 0, 0.5, 0.8).astype(np.float32)
+    planes = np.where((owner == 0).reshape(-1, 1), np.float32([0, 0, 1, 0.5]), np.float32(0))
+    part = slice(60, 180), slice(100, 161 + int(60 * slope))
+    seen = SeenSurface(frame.camera, np.eye(4), owner, depth, planes, 0.0, None, [part])
+    along = np.linspace(-30, 30, 400)[:, None] * np.array([-normal[1], normal[0]]) + np.array([160.3, 120.0])
+    for off in (-1.2, 0.8, 1.2):
+        at = along + off * normal
+        away = 0.55  # behind the near surface, before the far one
+        points = away * np.column_stack([(at - K[:2, 2]) / K[0, 0], np.ones(len(at))])
+        pixels = seen.edges(0).read(points.astype(np.float32)).distance * K[0, 0] / away
+        assert (np.sign(pixels) == -np.sign(off)).all()
+        assert abs(pixels.mean() + off) < 0.2
+        assert pixels.std() < ripple
 
 
 def test_free_space_is_as_far_as_the_nearest_unmeasured_pixel() -> None:
