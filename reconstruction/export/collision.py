@@ -32,7 +32,7 @@ from reconstruction.export.tips import tips
 from reconstruction.solid import Solid
 
 Cutter = Literal["halves", "coacd"]
-VERSION = "9"
+VERSION = "10"
 """Changes when the same mesh would be cut differently by this code."""
 SPLINTER = 2e-9
 """Volume of a part, mostly beside its mesh, that bulges though it cannot be cut [m^3]: rather none."""

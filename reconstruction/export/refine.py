@@ -30,7 +30,7 @@ NEARLY = 0.0009
 """A face that bulges by so much less than is allowed is looked at closer [m]."""
 ROUNDS = 30
 """Times that a part is halved at most."""
-MOST_PARTS = 1200
+MOST_PARTS = 800
 """No more parts than this: engines get slow. Those that bulge most are cut first."""
 
 
