@@ -7,6 +7,8 @@ what was measured, or it does not.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from reconstruction.surface.joint_surface import JointEdges
@@ -17,6 +19,8 @@ WITHIN, NOISES, MOST = 0.002, 3.0, 0.004
 the object is more or less that; no more than the last [m]: the far side of a thin wall is not."""
 LEAST = 0.05
 """Share of the uncertainty that measured places keep."""
+TORN = 2.0
+"""Within so many pixels of an image's edge its surface may have teeth, which are not held."""
 
 
 def share_left(edges: Edges | JointEdges, points: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
@@ -25,24 +29,23 @@ def share_left(edges: Edges | JointEdges, points: np.ndarray, before: np.ndarray
 
     before: (N,) what all views but the last leave, if that is known.
     """
-    points = np.ascontiguousarray(points, np.float32)
-    left = np.ones(len(points), np.float32) if before is None else before.copy()
     views = edges.views if isinstance(edges, JointEdges) else (edges,)
-    for view in views if before is None else views[-1:]:
-        view.leave(points, _within(view), LEAST, left)
-    return left
+    if before is None:
+        return np.maximum(_off(views, points, 0.0, np.ones(len(points), np.float32)), np.float32(LEAST))
+    return np.maximum(_off(views[-1:], points, 0.0, before.copy()), np.float32(LEAST))
 
 
 def free_to_move(edges: Edges | JointEdges, points: np.ndarray) -> np.ndarray:
     """How freely (N,) vertices (N, 3) [m] may be moved: 0 on what was measured, 1 away from it, at the edges
     of the object's image and where no ray shows the object."""
+    views = edges.views if isinstance(edges, JointEdges) else (edges,)
+    return _off(views, points, TORN, np.ones(len(points), np.float32))
+
+
+def _off(views: Sequence[Edges], points: np.ndarray, rim: float, share: np.ndarray) -> np.ndarray:
+    """Shares (N,), lowered where any view measured vertices (N, 3) [m], and farther from its rim [px]."""
     points = np.ascontiguousarray(points, np.float32)
-    free = np.ones(len(points), np.float32)
-    for view in edges.views if isinstance(edges, JointEdges) else (edges,):
-        view.hold(points, _within(view), free)
-    return free
-
-
-def _within(view: Edges) -> float:
-    """What is no farther from what its ray measured was measured [m]."""
-    return min(max(WITHIN, NOISES * view.noise), MOST)
+    for view in views:
+        # What is no farther from what its ray measured was measured.
+        view.lower_near(points, min(max(WITHIN, NOISES * view.noise), MOST), rim, share)
+    return share

@@ -25,10 +25,7 @@ LEAST_LATERAL = np.float32(5e-5)
 SHAVED = 0.05
 """An outline is taken to be so much inside of the middle between pixels [px]: free space that was measured
 stays free although a lattice rounds outlines off."""
-OUTERMOST = 2.0
-"""How far from the outermost pixels of an object's image its surface is sure not to be torn [px]."""
 _FAR, _ZERO = np.float32(FAR), np.float32(0)
-_OUTERMOST = np.float32(OUTERMOST)
 _INSIDE, _BESIDE = np.float32(0.5 + SHAVED), np.float32(0.5 - SHAVED)
 
 
@@ -126,26 +123,12 @@ def faced(points: np.ndarray, image: Image, own: int) -> tuple[np.ndarray, np.nd
 
 
 @compiled
-def leave(points: np.ndarray, image: Image, own: int, within: float, least: float, left: np.ndarray) -> None:
-    """Lower left (N,) float32 where points (N, 3) float32 [m] are near what object `own` shows on their ray:
-    to `least` there, and linearly to 1 at a distance of `within` [m]."""
-    A, b, _, owners, _, planes = image
-    rows, columns = owners.shape
-    for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        _, _, _, row, column = _pixel_of(x, y, z, A, b)
-        if 0 <= column < columns and 0 <= row < rows and owners[row, column] == own:
-            at = row * columns + column
-            a, d, c = planes[at, 0], planes[at, 1], planes[at, 2]
-            off = abs(a * x + d * y + c * z - planes[at, 3]) / within
-            if off < left[i] and (a != _ZERO or d != _ZERO or c != _ZERO):
-                left[i] = max(off, least)
-
-
-@compiled
-def hold(points: np.ndarray, image: Image, outline: Outline, within: float, free: np.ndarray) -> None:
-    """Lower free (N,) where points (N, 3) float32 [m] are near what the object shows on their ray: to 0
-    there, linearly to 1 at a distance of `within` [m]; less near the edges of its image, and not at them."""
+def lower_near(
+    points: np.ndarray, image: Image, outline: Outline, within: float, rim: float, share: np.ndarray
+) -> None:
+    """Lower share (N,) float32 where points (N, 3) float32 [m] are near what the object shows on their ray:
+    to 0 there, linearly to 1 at a distance of `within` [m]; and linearly to 1 from `rim` [px] to `rim` - 1
+    from its image's outermost pixels."""
     A, b, _, owners, _, planes = image
     own, _, top, left, _, distances, _ = outline
     rows, columns = owners.shape
@@ -154,9 +137,12 @@ def hold(points: np.ndarray, image: Image, outline: Outline, within: float, free
         _, u, v, row, column = _pixel_of(x, y, z, A, b)
         if 0 <= column < columns and 0 <= row < rows and owners[row, column] == own:
             at = row * columns + column
-            off = abs(planes[at, 0] * x + planes[at, 1] * y + planes[at, 2] * z - planes[at, 3]) / within
-            if off < free[i]:
-                free[i] = min(free[i], max(off, _OUTERMOST - _between(distances[0], v - top, u - left)))
+            a, d, c = planes[at, 0], planes[at, 1], planes[at, 2]
+            off = abs(a * x + d * y + c * z - planes[at, 3]) / within
+            if off < share[i] and (a != _ZERO or d != _ZERO or c != _ZERO):
+                if rim > _ZERO:
+                    off = min(max(off, rim - _between(distances[0], v - top, u - left)), share[i])
+                share[i] = off
 
 
 @compiled

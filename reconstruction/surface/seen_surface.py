@@ -23,8 +23,7 @@ from reconstruction.surface.reading import (
     Outline,
     Reading,
     faced,
-    hold,
-    leave,
+    lower_near,
     read_into,
     read_points,
 )
@@ -203,16 +202,11 @@ class Edges:
         normals, behind = faced(points, self.seen.image, self.index)
         return normals, behind
 
-    def leave(self, points: np.ndarray, within: float, least: float, left: np.ndarray) -> None:
-        """Lower left (N,) float32 at points (N, 3) float32 in one piece [m] that are near what the object
-        shows on their ray: to `least` there, linearly to 1 at a distance of `within` [m]."""
-        leave(points, self.seen.image, self.index, np.float32(within), np.float32(least), left)
-
-    def hold(self, points: np.ndarray, within: float, free: np.ndarray) -> None:
-        """Lower free (N,) float32 at points (N, 3) float32 in one piece [m] that are near what the object
-        shows on their ray, unless at an edge of it: to 0 there, linearly to 1 at a distance of `within`
-        [m]."""
-        hold(points, self.seen.image, self.outline, np.float32(within), free)
+    def lower_near(self, points: np.ndarray, within: float, rim: float, share: np.ndarray) -> None:
+        """Lower share (N,) float32 at points (N, 3) float32 in one piece [m] that are near what the object
+        shows on their ray: to 0 there, linearly to 1 at a distance of `within` [m], and from `rim` [px] to
+        `rim` - 1 from the outermost pixels of its image."""
+        lower_near(points, self.seen.image, self.outline, np.float32(within), np.float32(rim), share)
 
     def behind(self, points: np.ndarray, distance: float) -> np.ndarray:
         """Points (N, 3) moved by `distance` [m] away from the camera."""
