@@ -12,13 +12,14 @@ from perception.frame import Frame
 from reconstruction.export.apart import overlap
 from reconstruction.export.at_rest import at_rest
 from reconstruction.export.balance import room_within
+from reconstruction.export.hulls import Hull
 from reconstruction.export.seen_free import CLEAR, seen_free
 from reconstruction.export.unseen_support import BELOW, MOST, THIN, unseen_support
 from reconstruction.export.unseen_support import CLEAR as GAP_BESIDE
 
 
-def box(size, middle) -> trimesh.Trimesh:
-    return trimesh.creation.box(size).apply_translation(middle)
+def box(size, middle) -> Hull:
+    return Hull.of(trimesh.creation.box(size).apply_translation(middle))
 
 
 def nothing(points):
@@ -32,8 +33,8 @@ def test_a_hovering_box_gets_blocks_that_hold_it():
     assert room_within(np.array([0.02, 0, 0.06]), np.array([block.centre for block in blocks])) > 0.006
     for block in blocks:
         assert block.top == pytest.approx(0.04 - BELOW, abs=1e-6)
-        assert block.mesh.volume == pytest.approx(np.prod(block.size))
-        assert block.corners.min(0) == pytest.approx(block.mesh.bounds[0])
+        assert block.hull.mesh.volume == pytest.approx(np.prod(block.size))
+        assert block.corners.min(0) == pytest.approx(block.hull.bounds[0])
 
 
 def test_no_block_is_where_nothing_was_seen_to_be():
@@ -51,14 +52,14 @@ def test_blocks_keep_clear_of_other_objects_and_are_thin_where_they_must():
     beside = (box((0.05, 0.1, 0.05), (0.03, 0, 0.025)),)  # it ends above the underside
     blocks = unseen_support((hovering,), [beside], np.zeros(3), nothing)
     assert blocks
-    assert all(overlap(block.mesh, beside[0], GAP_BESIDE) is None for block in blocks)
+    assert all(overlap(block.hull, beside[0], GAP_BESIDE) is None for block in blocks)
     below = (box((0.2, 0.1, 0.03), (0, 0, 0.015)),)  # 10 mm below it
     thin = unseen_support((hovering,), [below], np.zeros(3), nothing)
     assert {round(float(block.size[2]), 6) for block in thin} == {THIN}
 
 
 def test_a_tip_between_the_places_looked_at_is_not_stuck_in_a_block():
-    tip = (
+    tip = Hull.of(
         trimesh.creation.cone(0.0007, 0.004)
         .apply_transform(np.diag([1.0, -1, -1, 1]))
         .apply_translation([0.0008, 0, 0.04])
@@ -66,7 +67,7 @@ def test_a_tip_between_the_places_looked_at_is_not_stuck_in_a_block():
     hovering = (box((0.1, 0.06, 0.04), (0, 0, 0.06)), tip)
     blocks = unseen_support(hovering, [], np.array([0, 0, 0.06]), nothing)
     assert len(blocks) == MOST
-    assert all(overlap(block.mesh, part, 0.0) is None for block in blocks for part in hovering)
+    assert all(overlap(block.hull, part, 0.0) is None for block in blocks for part in hovering)
 
 
 def test_an_underside_is_followed_and_its_lowest_places_are_taken_first():
