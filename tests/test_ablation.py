@@ -64,7 +64,7 @@ def test_variants_are_methods() -> None:
     names = [name for *_, name in (*single_factors(), *two_factors())]
     assert variant() == "contramap"
     assert variant("near", "none", pairs=False) == "contramap:noise=near,prior=none,pairs=false"
-    assert len(set(names)) == 15
+    assert len(set(names)) == 16
     for name in names:
         method(name)
 

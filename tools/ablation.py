@@ -29,6 +29,7 @@ SURFACES = {
     "without round bodies": "mesh.fusion.round_bodies=false",
     "without cuboids": "mesh.fusion.cuboids=false",
     "without unseen walls": "mesh.fusion.unseen_walls=false",
+    "not faired": "mesh.fusion.fair=0",
     "fused at 5 mm": "mesh.fusion.refine=1",
     "of the map alone": "mesh.fusion.enabled=false",
 }
@@ -39,6 +40,7 @@ COLUMNS = {
     "agreement": "agreement",
     "early_rays": "early rays",
     "normal_deg": "normals [deg]",
+    "creases_excess_per_m": "creases [1/m]",
     "handles": "handles",
     "handles_right": "handles right",
     "wall_excess_mm": "walls [mm]",
@@ -46,7 +48,14 @@ COLUMNS = {
     "error_auroc": "error AUROC",
     "aurc": "AURC",
 }
-DIGITS = {"chamfer_5mm": 2, "aurc": 5, "normal_deg": 1, "handles": 2, "wall_excess_mm": 1}
+DIGITS = {
+    "chamfer_5mm": 2,
+    "aurc": 5,
+    "normal_deg": 1,
+    "creases_excess_per_m": 1,
+    "handles": 2,
+    "wall_excess_mm": 1,
+}
 
 
 def variant(
