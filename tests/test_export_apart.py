@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from boxes import box, part
 
 from reconstruction.export import mjcf, urdf
 from reconstruction.export.apart import below, kept_apart, overlap
@@ -15,16 +16,6 @@ from reconstruction.solid import Solid
 
 GAP = 0.002
 """Between parts of two objects [m]."""
-
-
-def box(size, middle) -> trimesh.Trimesh:
-    found = trimesh.creation.box(size)
-    found.apply_translation(middle)
-    return found
-
-
-def part(size, middle) -> Hull:
-    return Hull.of(box(size, middle))
 
 
 def prism(corners) -> trimesh.Trimesh:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from boxes import box, part
 
 from reconstruction.export.balance import ENOUGH, balanced
 from reconstruction.export.collision import ConvexParts
@@ -14,16 +15,6 @@ from reconstruction.export.parts_error import parts_error
 from reconstruction.export.refine import bulges, refined
 from reconstruction.export.tips import tips
 from reconstruction.solid import Solid
-
-
-def box(size, middle) -> trimesh.Trimesh:
-    found = trimesh.creation.box(size)
-    found.apply_translation(middle)
-    return found
-
-
-def part(size, middle) -> Hull:
-    return Hull.of(box(size, middle))
 
 
 def test_a_hull_over_a_hollow_is_halved_until_it_bulges_no_more():

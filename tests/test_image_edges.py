@@ -60,6 +60,20 @@ def test_a_straight_outline_has_no_scallops(slope: float, ripple: float) -> None
         assert pixels.std() < ripple
 
 
+def test_an_outline_goes_straight_on_to_the_border_of_the_image() -> None:
+    frame = make_tabletop((BALL,)).frame
+    K, shape = frame.camera.K, (frame.camera.height, frame.camera.width)
+    owner = np.where(np.indices(shape)[1] < 160, 0, -1).astype(np.int32)
+    depth = np.where(owner == 0, 0.5, 0.8).astype(np.float32)
+    planes = np.where((owner == 0).reshape(-1, 1), np.float32([0, 0, 1, 0.5]), np.float32(0))
+    part = slice(0, shape[0]), slice(100, 160)
+    seen = SeenSurface(frame.camera, np.eye(4), owner, depth, planes, 0.0, None, [part])
+    at = np.array([[u, v] for u in (158.5, 160.5) for v in (-0.4, 20.0)])
+    points = 0.55 * np.column_stack([(at - K[:2, 2]) / K[0, 0], np.ones(len(at))])
+    found = seen.edges(0).read(points.astype(np.float32)).distance
+    np.testing.assert_allclose(found[::2], found[1::2], atol=1e-5)
+
+
 def test_free_space_is_as_far_as_the_nearest_unmeasured_pixel() -> None:
     frame = make_tabletop((BALL,)).frame
     assert frame.labels is not None

@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from boxes import part
 
 from perception.camera import Camera
 from perception.frame import Frame
@@ -18,16 +19,12 @@ from reconstruction.export.unseen_support import BELOW, MOST, THIN, unseen_suppo
 from reconstruction.export.unseen_support import CLEAR as GAP_BESIDE
 
 
-def box(size, middle) -> Hull:
-    return Hull.of(trimesh.creation.box(size).apply_translation(middle))
-
-
 def nothing(points):
     return np.zeros(len(points), bool)
 
 
 def test_a_hovering_box_gets_blocks_that_hold_it():
-    hovering = box((0.1, 0.06, 0.04), (0, 0, 0.06))  # its underside at z = 4 cm
+    hovering = part((0.1, 0.06, 0.04), (0, 0, 0.06))  # its underside at z = 4 cm
     blocks = unseen_support((hovering,), [], np.array([0.02, 0, 0.06]), nothing)
     assert 3 <= len(blocks) <= MOST
     assert room_within(np.array([0.02, 0, 0.06]), np.array([block.centre for block in blocks])) > 0.006
@@ -38,22 +35,22 @@ def test_a_hovering_box_gets_blocks_that_hold_it():
 
 
 def test_no_block_is_where_nothing_was_seen_to_be():
-    hovering = box((0.1, 0.06, 0.04), (0, 0, 0.06))
+    hovering = part((0.1, 0.06, 0.04), (0, 0, 0.06))
     assert unseen_support((hovering,), [], np.zeros(3), lambda points: np.ones(len(points), bool)) == ()
     half = unseen_support((hovering,), [], np.zeros(3), lambda points: points[:, 0] > 0)
     assert half
     assert all(block.corners[:, 0].max() <= 1e-9 for block in half)
-    low = box((0.1, 0.06, 0.04), (0, 0, 0.0207))  # 0.7 mm above the support: no room
+    low = part((0.1, 0.06, 0.04), (0, 0, 0.0207))  # 0.7 mm above the support: no room
     assert unseen_support((low,), [], np.zeros(3), nothing) == ()
 
 
 def test_blocks_keep_clear_of_other_objects_and_are_thin_where_they_must():
-    hovering = box((0.1, 0.06, 0.04), (0, 0, 0.06))
-    beside = (box((0.05, 0.1, 0.05), (0.03, 0, 0.025)),)  # it ends above the underside
+    hovering = part((0.1, 0.06, 0.04), (0, 0, 0.06))
+    beside = (part((0.05, 0.1, 0.05), (0.03, 0, 0.025)),)  # it ends above the underside
     blocks = unseen_support((hovering,), [beside], np.zeros(3), nothing)
     assert blocks
     assert all(overlap(block.hull, beside[0], GAP_BESIDE) is None for block in blocks)
-    below = (box((0.2, 0.1, 0.03), (0, 0, 0.015)),)  # 10 mm below it
+    below = (part((0.2, 0.1, 0.03), (0, 0, 0.015)),)  # 10 mm below it
     thin = unseen_support((hovering,), [below], np.zeros(3), nothing)
     assert {round(float(block.size[2]), 6) for block in thin} == {THIN}
 
@@ -64,14 +61,14 @@ def test_a_tip_between_the_places_looked_at_is_not_stuck_in_a_block():
         .apply_transform(np.diag([1.0, -1, -1, 1]))
         .apply_translation([0.0008, 0, 0.04])
     )
-    hovering = (box((0.1, 0.06, 0.04), (0, 0, 0.06)), tip)
+    hovering = (part((0.1, 0.06, 0.04), (0, 0, 0.06)), tip)
     blocks = unseen_support(hovering, [], np.array([0, 0, 0.06]), nothing)
     assert len(blocks) == MOST
     assert all(overlap(block.hull, part, 0.0) is None for block in blocks for part in hovering)
 
 
 def test_an_underside_is_followed_and_its_lowest_places_are_taken_first():
-    table_top, leg = box((0.1, 0.1, 0.01), (0, 0, 0.1)), box((0.04, 0.04, 0.06), (0, 0, 0.065))
+    table_top, leg = part((0.1, 0.1, 0.01), (0, 0, 0.1)), part((0.04, 0.04, 0.06), (0, 0, 0.065))
     tops = [b.top for b in unseen_support((table_top, leg), [], np.array([0, 0, 0.1]), nothing)]
     assert max(tops) == pytest.approx(0.035 - BELOW, abs=1e-6)
     aside = [b.top for b in unseen_support((table_top, leg), [], np.array([0.03, 0, 0.1]), nothing)]
@@ -79,7 +76,7 @@ def test_an_underside_is_followed_and_its_lowest_places_are_taken_first():
 
 
 def test_what_stands_gets_none_and_what_hovers_keeps_its_mass_where_it_is():
-    objects = {1: (box((0.1,) * 3, (0, 0, 0.05)),), 2: (box((0.05,) * 3, (0.3, 0, 0.06)),)}
+    objects = {1: (part((0.1,) * 3, (0, 0, 0.05)),), 2: (part((0.05,) * 3, (0.3, 0, 0.06)),)}
     centres = {1: np.array([0, 0, 0.05]), 2: np.array([0.3, 0, 0.06])}
     found = at_rest(objects, centres, nothing)
     assert list(found.supports) == [2]
@@ -87,7 +84,7 @@ def test_what_stands_gets_none_and_what_hovers_keeps_its_mass_where_it_is():
 
 
 def test_a_foot_beside_its_centre_of_mass_is_not_enough():
-    crane = (box((0.02, 0.02, 0.1), (0, 0, 0.05)), box((0.3, 0.02, 0.02), (0.14, 0, 0.11)))
+    crane = (part((0.02, 0.02, 0.1), (0, 0, 0.05)), part((0.3, 0.02, 0.02), (0.14, 0, 0.11)))
     found = at_rest({1: crane}, {1: np.array([0.15, 0, 0.09])}, nothing)
     assert (
         room_within(np.array([0.15, 0, 0.09]), np.array([block.centre for block in found.supports[1]]))

@@ -63,14 +63,6 @@ class Hull:
         a, b, c = (self.vertices - self.vertices[0])[self.faces].transpose(1, 0, 2)
         return float(np.einsum("ij,ij->", a, _cross(b, c)) / 6)
 
-    def holds(self, points: np.ndarray) -> np.ndarray:
-        """Which points (N, 3) lie behind the planes of all faces: (N,) bool."""
-        low, high = self.bounds
-        found = ((points >= low) & (points <= high)).all(1)
-        near = np.flatnonzero(found)
-        found[near] = (points[near] @ self.face_normals.T <= self.heights).all(1)
-        return found
-
     def moved(self, T: np.ndarray) -> Hull:
         """Under the rigid T (4, 4)."""
         return Hull(transform(T, self.vertices), self.faces)

@@ -30,9 +30,9 @@ def share_left(edges: Edges | JointEdges, points: np.ndarray, before: np.ndarray
     before: (N,) what all views but the last leave, if that is known.
     """
     views = edges.views if isinstance(edges, JointEdges) else (edges,)
-    if before is None:
-        return np.maximum(_off(views, points, 0.0, np.ones(len(points), np.float32)), np.float32(LEAST))
-    return np.maximum(_off(views[-1:], points, 0.0, before.copy()), np.float32(LEAST))
+    share = np.ones(len(points), np.float32) if before is None else before.copy()
+    off = _off(views if before is None else views[-1:], points, 0.0, share)
+    return np.maximum(off, np.float32(LEAST))
 
 
 def free_to_move(edges: Edges | JointEdges, points: np.ndarray) -> np.ndarray:

@@ -149,12 +149,12 @@ class Edges:
         own = seen.owner[part] == index
         sides = edge_pixels(own, seen.depth[part], seen.camera)
         nearest = np.zeros((2, *(n + 2 for n in own.shape)), np.int32)
-        distances = np.full(nearest.shape, BORDER + 1, np.float32)
+        distances = np.empty(nearest.shape, np.float32)
         at = [np.empty(0, np.int64)]
         for number, side in enumerate(sides):
             found, away, pixels = nearest_of(side)
             nearest[number, 1:-1, 1:-1] = np.where(found > 0, found + len(np.concatenate(at)), 0)
-            distances[number, 1:-1, 1:-1] = away
+            distances[number] = np.pad(away, 1, "edge")  # as far beyond the image's border as at it
             at.append(pixels)
         row, column = np.divmod(np.concatenate(at), sides[0].shape[1])
         planes = np.zeros((1 + len(row), 4), np.float32)
